@@ -294,7 +294,7 @@ def test_identify_takes_the_scale_from_the_certificate(
     turned(dmu50, tmp_path, 2).save(table, dmu50)
     arguments = "identify", table, "-o", out, "--only", "E_*0*", "E_XX", "E_YY", "E_ZZ"
     assert status(*arguments) == 0
-    assert "not: the common scale of X and Y and Z" in capsys.readouterr().out
+    assert "not: the common scale of X, Y and Z" in capsys.readouterr().out
     assert status(*arguments, "--certificate", saved(tmp_path, certificate(PLATE)), "--json", tmp_path / "a.json") == 0
     text = capsys.readouterr().out
     assert (

@@ -76,11 +76,11 @@ def test_the_tip_is_at_the_sphere_on_the_truth_machine(dmu50: Machine, tmp_path:
 @pytest.mark.parametrize(
     ("spheres", "places", "tip", "count", "lost"),
     [
-        (SPHERES, False, False, 10, ("the common scale of X and Y and Z", "E_X0B", "E_Y0B", "E_Y0C")),
+        (SPHERES, False, False, 10, ("the common scale of X, Y and Z", "E_X0B", "E_Y0B", "E_Y0C")),
         (SPHERES, True, False, 12, ("E_X0B", "E_Y0B")),
         (SPHERES, False, True, 13, ("1 combination of E_XX, E_YY, E_ZZ, E_Y0B, E_Y0C",)),
         (SPHERES, True, True, 14, ()),
-        (SPHERES[:1], False, False, 10, ("the common scale of X and Y and Z", "E_X0B", "E_Y0B", "E_Y0C")),
+        (SPHERES[:1], False, False, 10, ("the common scale of X, Y and Z", "E_X0B", "E_Y0B", "E_Y0C")),
     ],
 )
 def test_number_of_constants_determined(

@@ -143,8 +143,6 @@ def confirmed(
         str(after),
         "--written",
         str(folder / kind),
-        "--tool-length",
-        "120",
         "--json",
         str(tmp / "found.json"),
     ]
@@ -156,6 +154,7 @@ def confirmed(
 def test_in_effect(folder: Path) -> None:
     status, found = confirmed(folder, "both", 1)
     assert (status, found["verdict"]) == (0, "confirmed")
+    assert found["tool_length_mm"] == 120.0  # stated by the folder, for which the tables were made
     assert abs(found["measured_um"] - found["expected_um"]) < found["expanded_um"]
     assert found["before_um"] > 2.0 * found["measured_um"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
 import numpy as np
@@ -113,7 +113,7 @@ def test_the_plan_alone_gives_the_same_prediction(
 def test_what_a_sphere_at_an_unknown_place_cannot_show(dmu50: Machine) -> None:
     """The common scale needs a known distance; the tip's length cannot be separated from the swivel axis."""
     lost = planned(dmu50, "probe").expected.unknown.lost
-    assert "the common scale of X and Y and Z" in lost and "E_X0B" in lost
+    assert "the common scale of X, Y and Z" in lost and "E_X0B" in lost
     circles = planned(dmu50, "ball-bar").expected.unknown
     assert circles.determined == 6 and not circles.lost
 
@@ -146,6 +146,14 @@ def test_all_spheres_are_measured_or_the_plan_says_which_are_not(dmu50: Machine)
     assert set(made[30.0].table.target) == {"a", "b", "c"} and "NOT MEASURED" not in made[30.0].to_text()
     assert set(made[10.0].table.target) == {"a", "b"} and "NOT MEASURED: c" in made[10.0].to_text()
     assert made[10.0].minutes <= 10.0
+
+
+def test_the_kit_states_the_time_of_a_contact(dmu50: Machine) -> None:
+    """Five contacts a pose: half the time of one saves 15 s a pose, whatever the axes travel."""
+    made = measuring_sequence(dmu50, "probe", "turns", sizes=InstrumentSizes(tool_length_mm=120.0))
+    kit = replace(made.task.kit, seconds=made.task.kit.seconds.model_copy(update={"contact": 3.0}))
+    quick = replace(made, task=replace(made.task, kit=kit))
+    assert made.minutes - quick.minutes == pytest.approx(len(made.table) * 15.0 / 60.0)
 
 
 @pytest.mark.slow

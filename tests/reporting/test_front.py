@@ -122,6 +122,28 @@ def test_error_after_compensation_is_that_of_the_appendix(dmu50: Machine, tmp_pa
     assert report.to_dict()["compensation"]["compensated"]["max_um"] == after.value
 
 
+def test_one_figure_before_compensation(dmu50: Machine, tmp_path: Path) -> None:
+    """Headline, tables, kinematics and programs start at the expected error of the first page, which is not that of the model.
+
+    Judge: with a standard uncertainty of 20 µm of the mean of E_XX, the variance of the tool point is 400 µm² larger at every pose.
+    """
+    text = (
+        MINE.replace("covariance: [[1.0, 0], [0, 1.0]]", "covariance: [[400.0, 0], [0, 0]]")
+        + "location: {E_A0C: 90.0}\n"
+    )
+    (tmp_path / "c.yaml").write_text(text)
+    report = machine_report(dmu50, Calibration.load(tmp_path / "c.yaml", dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
+    model, shown = report.compensation.before.rms_um, report.compensation.start.rms_um
+    assert shown == pytest.approx(np.hypot(model, 20.0), rel=0.05) and shown > model + 2.0
+    assert front_page(report).items[0].rms == shown
+    texts = " ".join([report.advice.headline, *(step.text for step in report.advice.steps)])
+    figures = re.findall(
+        r"point is ([\d.]+) µm|tool: ([\d.]+) µm without|mode: ([\d.]+) µm before|from ([\d.]+) µm", texts
+    )
+    found = ["".join(one) for one in figures]
+    assert len(found) >= 3 and {*found} == {f"{shown:.3g}"}
+
+
 def test_a_failure_beyond_an_incomplete_uncertainty_is_a_failure(dmu50: Machine, tmp_path: Path) -> None:
     """U is a lower bound as errors are absent: value − U > tolerance fails with the reason beside it, nothing passes."""
     front = judged(dmu50, tmp_path, MINE, tool=2.0, E_XX=2.0)

@@ -12,8 +12,9 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.errors import InputError, control_character, did_you_mean
+from twin._common.errors import InputError, closest_name, control_character
 from twin._common.files import other_kind, read_lines
+from twin._common.messages import Message
 from twin._common.units import count_with_noun
 
 MAX_COLUMNS: Final = 1000
@@ -187,6 +188,8 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def unused_column_note(name: str, known: Sequence[str]) -> str:
+def unused_column_note(name: str, known: Sequence[str]) -> Message:
     """Return the notice that a column is unknown and not used."""
-    return f"column {name} is unknown and not used{did_you_mean(name, known)}"
+    close = closest_name(name, known)
+    hint = "" if close is None else Message(" (did you mean {name}?)", name=close)
+    return Message("column {name} is unknown and not used{hint}", name=name, hint=hint)

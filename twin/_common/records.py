@@ -13,6 +13,7 @@ import numpy as np
 
 from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.units import count_with_noun
 
 TIME: Final = "time_s"
@@ -29,7 +30,7 @@ class LogColumns(NamedTuple):
 
     cells: Cells
     numbers: Mapping[str, np.ndarray]  # (n,) values of every column that was read, by its name
-    notices: tuple[str, ...]  # names of columns that were not read, in words
+    notices: tuple[Message, ...]  # names of columns that were not read, in words
 
 
 def is_temperature(name: str) -> bool:

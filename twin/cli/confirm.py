@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,6 +14,9 @@ from twin.cli.shared import complete, options
 from twin.cli.shared.command import EXISTING, HTML, CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, paper
 from twin.cli.shared.terminal import number, pairs
+
+if TYPE_CHECKING:
+    from twin.machine.machine import Machine
 
 AdjustedOption = Annotated[
     list[str] | None,
@@ -87,6 +90,7 @@ def confirm(
     known = before if is_calibration else calibration
     if compensated and known is None:
         raise InputError("no calibration", expected="--calibration that the program was compensated with")
+    tool_length = _tool_length(tool_length, written, loaded)
     entries = pairs("--adjusted", adjusted, "E_C0Y=0, each error once")
     errors, values = written_values(
         loaded,
@@ -108,3 +112,13 @@ def confirm(
         )
     page.write(found.to_html, [path for path in (before, after, calibration) if path is not None])
     return CommandResult(found.to_text(), found.to_dict, met=found.met)
+
+
+def _tool_length(given: float | None, written: Path | None, machine: Machine) -> float | None:
+    """Return the tool length that is given, else that of the written tables; None if neither is known."""
+    from twin.model.calibration import Calibration
+
+    if given is not None or written is None:
+        return given
+    control = Calibration.load(written / "calibration.yaml", machine).control
+    return None if control is None else control.tool_length_mm

@@ -11,11 +11,13 @@ import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError, require_name
-from twin._common.families import DRIFT_INSTRUMENTS, DRIFTS, INSTRUMENTS, SEQUENCE_INSTRUMENTS
+from twin._common.families import DRIFT_INSTRUMENTS, DRIFTS, INSTRUMENTS, SEQUENCE_INSTRUMENTS, Language
+from twin._common.messages import Message, say
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.units import count_with_noun
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
+from twin.cli.shared.paper import PrintedOption
 from twin.cli.shared.terminal import not_negative, three_numbers
 
 if TYPE_CHECKING:
@@ -278,6 +280,7 @@ def plan(
     tool_length: options.ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses, or of the speeds.")] = 0,
     json_file: JsonOption = None,
+    lang: PrintedOption = Language.en,
 ) -> CommandResult:
     """Plan the measurement that gives the smallest uncertainty in the available time."""
     not_negative("--seed", seed)
@@ -340,11 +343,14 @@ def _with_artefact(
     own = artefact_named(name)
     if output is not None:
         write_atomic(output, text)
-    lines = [f"{own.title} in {plane} of {machine.name}: {own.shows}", ""]
-    lines += [f"  {k}. {step}" for k, step in enumerate(steps, start=1)]
+    head = Message(
+        "{title} in {plane} of {machine}: {shows}", title=own.title, plane=plane, machine=machine.name, shows=own.shows
+    )
+    lines = [say(head), ""]
+    lines += [f"  {k}. {say(step)}" for k, step in enumerate(steps, start=1)]
     lines += [
         "",
-        "The sheet states what the uncertainty needs. Correct what is marked (assumed), enter the readings, then:",
+        say("The sheet states what the uncertainty needs. Correct what is marked (assumed), enter the readings, then:"),
         f"  twin evaluate {output} -m {machine.path} -o mine.yaml",
     ]
     report = {"schema": "twin.plan/1", "artefact": name, "plane": plane, "steps": list(steps)}
@@ -473,7 +479,7 @@ class _SequenceRequest:
     ) -> CommandResult:
         """Plan the shortest measurement that shows what `twin control` wrote, and write it."""
         from twin.model.calibration import Calibration
-        from twin.monitoring.written import written_by
+        from twin.monitoring.written import active_tool_mm, written_by
         from twin.planning import SequencePlan
         from twin.planning.confirmation import plan_confirmation
         from twin.planning.sequences.specification import InstrumentSizes
@@ -481,7 +487,7 @@ class _SequenceRequest:
         if self.instrument not in (None, "probe"):
             raise InputError("no such instrument for --confirm", expected="probe, or a --kit", value=self.instrument)
         calibration = Calibration.load(folder / "calibration.yaml", machine)
-        length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+        length = active_tool_mm(machine, calibration, tool_length_mm)
         with progress_bar() as bar:
             made = plan_confirmation(
                 calibration,
@@ -489,7 +495,7 @@ class _SequenceRequest:
                 kit,
                 probe=True if self.instrument or self.spheres or self.sizes or self.program else None,
                 spheres_mm=self._places("sphere"),
-                sizes=InstrumentSizes(tool_length_mm, **self.sizes),
+                sizes=InstrumentSizes(length or None, **self.sizes),
                 minutes=minutes,
                 seed=seed,
                 progress=bar,
@@ -497,7 +503,7 @@ class _SequenceRequest:
         report = {**made.to_dict(), **(self._program(made.plan) if isinstance(made.plan, SequencePlan) else {})}
         if output is not None:
             made.plan.save(output)
-        text = made.plan.to_text() + report.pop("note", "") + "\n".join(made.lines()) + "\n"
+        text = made.plan.to_text() + report.pop("note", "") + "\n".join(map(say, made.lines())) + "\n"
         met = not report["not_probed"] if isinstance(made.plan, SequencePlan) else made.plan.complete
         return CommandResult(text, lambda: report, met=met and made.shown and not made.hidden)
 
@@ -518,9 +524,16 @@ class _SequenceRequest:
             return {"note": "", "program": None, "not_probed": []}
         language = format_of(self.program)
         steps = program_steps(made)
-        note = f"note: program for {language.title}: {steps.poses} poses, NOT RUN ON A MACHINE. {language.unverified}\n"
+        said = Message(
+            "note: program for {title}: {count} poses, NOT RUN ON A MACHINE. {unverified}",
+            title=language.title,
+            count=steps.poses,
+            unverified=language.unverified,
+        )
+        note = f"{say(said)}\n"
         if steps.skipped:
-            note += f"note: NOT PROBED for lack of clearance: poses {', '.join(map(str, steps.skipped))}\n"
+            poses = ", ".join(map(str, steps.skipped))
+            note += say(Message("note: NOT PROBED for lack of clearance: poses {poses}", poses=poses)) + "\n"
         write_program(steps, self.program)
         program = {"file": str(self.program), "control": language.title}
         return {"note": note, "program": program, "not_probed": list(steps.skipped)}

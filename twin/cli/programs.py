@@ -14,12 +14,15 @@ import typer
 
 from twin._common.bundled import DEFAULT, DEFAULT_ACCELERATION, DEFAULT_ROTARY_LIMIT_DEG, DEFAULT_TOLERANCE_MM
 from twin._common.errors import InputError
+from twin._common.families import Language
 from twin._common.files import write_atomic
+from twin._common.messages import Message, say
 from twin._common.provenance import warning_texts
 from twin._common.units import count_with_noun
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import ANY, POSITIVE, PROGRAM, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
+from twin.cli.shared.paper import PrintedOption
 
 if TYPE_CHECKING:
     from twin.compensation import Compensator, Options
@@ -247,6 +250,7 @@ def check(
     offsets: options.OffsetsOption = None,
     tools: options.ToolsOption = None,
     json_file: JsonOption = None,
+    lang: PrintedOption = Language.en,
 ) -> CommandResult:
     """Examine NC programs before anything is computed.
 
@@ -273,9 +277,15 @@ def check(
         text = found[0].to_text()
     else:
         wide = max(len(str(program)) for program in programs)
-        lines = [f"{one.program!s:<{wide}}  {one.brief}" for one in found]
-        total = f"{count['ready']} ready, {count['in part']} in part, {count['refused']} refused"
-        text = "\n".join([*lines, "", f"{count_with_noun(len(found), 'program')}: {total}", ""])
+        lines = [f"{one.program!s:<{wide}}  {say(one.brief)}" for one in found]
+        total = Message(
+            "{all} programs: {ready} ready, {part} in part, {refused} refused",
+            all=len(found),
+            ready=count["ready"],
+            part=count["in part"],
+            refused=count["refused"],
+        )
+        text = "\n".join([*lines, "", say(total), ""])
     return CommandResult(
         text,
         lambda: {"schema": "twin.checks/1", "exit_status": status, "programs": [one.to_dict() for one in found]},

@@ -77,12 +77,14 @@ class ControlSection:
         tables: the tables active in the control.
         kinematics: the file of the transformation's kinematics, if they were written from a calibration; at most one.
         live: calibrations whose errors a kinematics module in the control corrects, completely.
+        tool_length_mm: tool length for which tables and kinematics were made; None if it is not stated.
     """
 
     errors_are: ErrorsAre
     tables: tuple[TableEntry, ...]
     kinematics: tuple[TableEntry, ...] = ()
     live: tuple[TableEntry, ...] = ()
+    tool_length_mm: float | None = None
 
     @property
     def entries(self) -> tuple[TableEntry, ...]:
@@ -118,7 +120,8 @@ class ControlSection:
 
         found: dict[str, Any] = {"errors_are": self.errors_are, "tables": listed(self.tables)}
         more = {"kinematics": self.kinematics, "live": self.live}
-        return found | {name: listed(entries) for name, entries in more.items() if entries}
+        found |= {name: listed(entries) for name, entries in more.items() if entries}
+        return found if self.tool_length_mm is None else found | {"tool_length_mm": self.tool_length_mm}
 
     def of(self, kind: str) -> tuple[TableEntry, ...]:
         """Return the tables of one format."""

@@ -51,8 +51,7 @@ from twin.measurement.observation import has_times
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 from twin.model.effects import split_name
-from twin.model.effects.base import MASS, OWN_WEIGHT
-from twin.model.effects.entries import payload_entries
+from twin.model.effects.entries import load_notices
 from twin.model.effects.gravity_compliance import SIDE_NAMES
 from twin.model.unknown_errors import at_rest
 from twin.numerics.covariance import Covariance
@@ -205,7 +204,7 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     order = [k for k in largest_first(np.array([cause.share for cause in named])).tolist() if k not in sized.jumped]
     named = [named[k] for k in order]
     wanted = points_to_measure(findings.given_patterns, findings.beside_patterns([forms[k] for k in order]), named)
-    said = (*notices(sized, comparison, undecided), *_indistinct(sized), *_no_masses(sized))
+    said = (*notices(sized, comparison, undecided), *_indistinct(sized), *load_notices(sized.effects, network.machine))
     causes = (*named, *read_too_early, *loads)
     unexplained = _jump(sized) or _unexplained(sized)
     extension = extend(sized, calibration) if empirical and unexplained is not None else None
@@ -285,39 +284,38 @@ def _verdict(causes: Sequence[Cause], unexplained: Unexplained | None, *, disagr
     return "explained" if causes else "consistent"
 
 
-def _indistinct(sized: SizedCauses) -> list[str]:
+def _indistinct(sized: SizedCauses) -> list[Message]:
     """Return a notice on each small cause that is not named: too many others fit as well, or it may not be there."""
     network, texts = sized.findings.problem.network, []
     for one in sized.indistinct:
         most_um = np.linalg.norm(np.nan_to_num(one.moved_um), axis=1).max(initial=0.0)
         tool_um, _ = error_at_tool(network.data, network.machine, one.effects, Covariance.none())
-        at_tool = f", {words.micrometres(tool_um)} RMS at the tool" if one.effects else ""
-        size = f"up to {words.micrometres(most_um)} in the readings{at_tool}, at most"
+        at_tool = Message(", {size} RMS at the tool", size=words.micrometres(tool_um)) if one.effects else ""
+        size = Message("up to {size} in the readings{tool}, at most", size=words.micrometres(most_um), tool=at_tool)
         names = [words.symbol(*key) for key in one.keys]
         if one.probability is None:
             texts.append(
-                f"something small is not named: {size} {words.percent(NEGLIGIBLE_EXCESS)} of the excess; {len(names)} causes fit it "
-                f"equally well ({listed(names, most=4)})"
+                Message(
+                    "something small is not named: {size} {share} of the excess; {count} causes fit it equally well ({names})",
+                    size=size,
+                    share=words.percent(NEGLIGIBLE_EXCESS),
+                    count=len(names),
+                    names=listed(names, most=4),
+                )
             )
         else:
-            instead = f" (or {listed(names[1:], most=3)})" if names[1:] else ""
+            instead = Message(" (or {names})", names=listed(names[1:], most=3)) if names[1:] else ""
             texts.append(
-                f"possible, but not named: {names[0]}{instead}; {size} {words.percent(SMALL_EXCESS)} of the excess; "
-                f"{words.likelihood_words(one.probability, not instead)}"
+                Message(
+                    "possible, but not named: {name}{instead}; {size} {share} of the excess; {likelihood}",
+                    name=names[0],
+                    instead=instead,
+                    size=size,
+                    share=words.percent(SMALL_EXCESS),
+                    likelihood=words.likelihood_words(one.probability, not instead),
+                )
             )
     return texts
-
-
-def _no_masses(sized: SizedCauses) -> list[str]:
-    """Return a notice on each load in the model that is no mass (`twin.model.effects.entries.payload_entries`)."""
-    return [
-        f"the load on the {entry['where']} side is not a mass: the control corrects a part of the deflection under own weight, and "
-        "only the ratio of the load to the remaining share is known. A calibration states it as "
-        f"{entry['parameters'][MASS]:.3g} kg, as heavy as the moving parts, with {OWN_WEIGHT} {entry['parameters'][OWN_WEIGHT]:.2g}; "
-        "weigh the load and change both in proportion"
-        for entry in payload_entries(sized.effects, sized.findings.problem.network.machine)
-        if OWN_WEIGHT in entry["parameters"]
-    ]
 
 
 def _unidentifiable(findings: Findings) -> dict[tuple[str, str], str]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from typing import Final, final
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf, normal_sf
-from twin._common.messages import Message, Number
+from twin._common.messages import Message, Number, joined
 from twin._common.records import APPROACH
 from twin._common.units import MM, UM
 from twin.diagnosis.alternatives import (
@@ -56,7 +56,6 @@ from twin.diagnosis.structure import Findings
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.discrepancy import Discrepancy
 from twin.machine.machine import Machine
-from twin.measurement.columns import ASSUMED
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, Payload
@@ -293,6 +292,9 @@ BELOW_INCREMENT: Final = Message("; it is below the least increment of the axes,
 JUMPED: Final = Message("; all targets of its side moved alike")
 """Doubt of a displaced target where its whole side jumped: the jump is unexplained, and its target no cause."""
 ONLY_A_PART: Final = Message("they explain only part of a pattern that no known effect explains as a whole")
+INSIGNIFICANT: Final = partial(
+    Message, "not named, because not significant against the unexplained residuals (share of the excess): {causes}"
+)
 OVERFITTED: Final = Message(
     "they increase the residuals of held-out readings: too few readings for this number of causes"
 )
@@ -336,19 +338,23 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
     ], comparison
 
 
-def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]) -> tuple[str, ...]:
+def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[Message]) -> tuple[Message, ...]:
     """Return what was assumed, and which causes are not named, with the reason; ``undecided`` are notices of `readback_causes`."""
     candidates, structure = sized.findings.candidates, sized.findings.structure
+    shares = [float(candidates.scores(sized.forms, [form.index])[0, 0]) / sized.excess for form in sized.dropped]
     insignificant = [
-        f"{' '.join(form.key)} ({100.0 * float(candidates.scores(sized.forms, [form.index])[0, 0]) / sized.excess:.2g} %)"
-        for form in sized.dropped
+        Message("{name} ({share:.2g} %)", name=" ".join(form.key), share=100.0 * share)
+        for form, share in zip(sized.dropped, shares, strict=True)
     ]
     further = [
-        f"not named, but found by the second method: one of {', '.join(' '.join(key) for key in effect.credible)} "
-        f"(odds {np.exp(min(effect.log_odds, 99.0)):.2g} : 1)"
+        Message(
+            "not named, but found by the second method: one of {names} (odds {odds:.2g} : 1)",
+            names=", ".join(" ".join(key) for key in effect.credible),
+            odds=np.exp(min(effect.log_odds, 99.0)),
+        )
         for effect in comparison.further
     ]
-    left_out: dict[str, list[tuple[str, str]]] = {
+    left_out: dict[Message, list[tuple[str, str]]] = {
         ONLY_A_PART: [form.key for form in structure.rejected],
         OVERFITTED: [form.key for form in sized.findings.refuted],
     }
@@ -356,14 +362,15 @@ def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]
     for key, why in (candidates.impossible | {form.key: TOO_LARGE for form in structure.impossible}).items():
         if key not in named:
             left_out.setdefault(why, []).append(key)
-    text = "not named, because not significant against the unexplained residuals (share of the excess): "
     return (
         *_assumed_approach(sized),
         *undecided,
-        *([text + ", ".join(insignificant)] if insignificant else []),
+        *([INSIGNIFICANT(causes=joined(", ", insignificant))] if insignificant else []),
         *further,
         *(
-            f"not named, because {why}: {', '.join(sorted({' '.join(key) for key in keys}))}"
+            Message(
+                "not named, because {why}: {names}", why=why, names=", ".join(sorted({" ".join(key) for key in keys}))
+            )
             for why, keys in left_out.items()
             if keys
         ),
@@ -434,7 +441,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     )
 
 
-def _assumed_approach(sized: SizedCauses) -> list[str]:
+def _assumed_approach(sized: SizedCauses) -> list[Message]:
     """Return a notice for each axis with an effect of its approach direction that is unknown for some readings."""
     network, assumed = sized.findings.problem.network, []
     for form in sized.forms:
@@ -444,8 +451,14 @@ def _assumed_approach(sized: SizedCauses) -> list[str]:
             unknown = int(np.count_nonzero(network.data.approach[:, network.machine.names.index(axis)] == 0.0))
             if unknown:
                 assumed.append(
-                    f"{ASSUMED}where {APPROACH}{axis} is unknown (0), {axis} is in the middle of its backlash ({unknown} of "
-                    f"{len(network.data)} readings); if it was on one side there, the size is wrong by up to a factor of two"
+                    Message(
+                        "assumed: where {column}{axis} is unknown (0), {axis} is in the middle of its backlash ({unknown} of "
+                        "{count} readings); if it was on one side there, the size is wrong by up to a factor of two",
+                        column=APPROACH,
+                        axis=axis,
+                        unknown=unknown,
+                        count=len(network.data),
+                    )
                 )
     return list(dict.fromkeys(assumed))
 
@@ -479,10 +492,10 @@ REPORT_RULED_OUT_SIGMA: Final = 5.0
 COMPATIBLE_SIGMA: Final = 3.0  # standard uncertainties of the share from zero within which readings follow the command
 
 
-def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
+def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause], list[Message]]:
     """Return causes for axes whose reported positions the readings do not follow, and notices on undecided axes."""
     data, machine = candidates.problem.network.data, candidates.problem.network.machine
-    causes, silent = list[Cause](), list[str]()
+    causes, silent = list[Cause](), list[Message]()
     tried = [form for form in candidates.forms if form.candidate.specification is FOLLOWING_ERROR and form not in forms]
     for form in tried:
         axis = machine.by_name[form.candidate.where]

@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 
 from twin._common.distributions import chi2_isf, chi2_log_sf, f_isf, f_log_sf
+from twin._common.messages import Message
 from twin.diagnosis.candidates.candidate import Candidate, Column, Variant
 from twin.diagnosis.problem import Problem, Products
 from twin.model.effects.base import axis_of
@@ -106,7 +107,7 @@ class Candidates:
         self._expected: set[int] = set()
         self._refined: dict[int, Form] = {}
         self._initial_critical = np.zeros((0, 0))
-        self._reasons: dict[tuple[str, str], str] = {}
+        self._reasons: dict[tuple[str, str], Message] = {}
         self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
         # The latest result of `fitted`, which is needed for each cause of a set in turn.
         self._fit: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
@@ -233,14 +234,14 @@ class Candidates:
             min(TAIL_FACTOR * quantile * np.log1p(-FALSE_ALARM_RATE) / np.log1p(-CALIBRATION_QUANTILE), 0.5),
         )
 
-    def exclude(self, keys: Collection[tuple[str, str]], why: str = "") -> None:
+    def exclude(self, keys: Collection[tuple[str, str]], why: Message | None = None) -> None:
         """Exclude all forms of some effects and places until `set_problem`; ``why``, if the readings speak for them nevertheless."""
         self.exclude_forms([form for form in self.forms if form.key in keys])
-        if why:
+        if why is not None:
             self._reasons |= dict.fromkeys(keys, why)
 
     @property
-    def impossible(self) -> dict[tuple[str, str], str]:
+    def impossible(self) -> dict[tuple[str, str], Message]:
         """Effect and place of each candidate that is excluded although the readings speak for it, with the reason."""
         allowed = {form.key for form in self.forms if np.isfinite(self._critical[form.index, 1])}
         return {key: why for key, why in self._reasons.items() if key not in allowed}

@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 
 from twin._common.arrays import first_largest
+from twin._common.messages import Message
 from twin.diagnosis.candidates.machine import variant_at, with_centre
 from twin.diagnosis.forms import Candidates, Form, columns_of, pseudo_inverse
 from twin.diagnosis.search import Selection, select, within_limits
@@ -41,7 +42,7 @@ CENTRE_PRIOR: Final = 3.0  # inverse prior variance of a mass or centre as a sha
 CARRIED_INDEX: Final = 4
 """Index of a share: 1 if the side carries the load of the readings, else 0. Shares of a payload are before it, of the centre behind."""
 STEPS: Final = 200  # largest number of iterations of a fit
-NO_MASS: Final = "they fit only with a mass that is not positive, or a centre of mass beyond its range"
+NO_MASS: Final = Message("they fit only with a mass that is not positive, or a centre of mass beyond its range")
 """Reason for which a load is left out, in words."""
 UNDETERMINED_SIZE: Final = 1e-9  # relative size below which a direction is not determined
 

@@ -12,6 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import first_largest, largest_first
+from twin._common.messages import Message
 from twin.diagnosis.candidates.candidate import LARGEST_ERROR, Candidate
 from twin.diagnosis.cross_validation import choose_folds
 from twin.diagnosis.estimate import estimate
@@ -35,11 +36,11 @@ ALL_OR_NOTHING_TOLERANCE: Final = 0.2
 """Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
 LEAST_FLEXIBLE_SHARE: Final = 0.01
 """Smallest share of a pliable effect in the χ² explained by all causes: a smaller one only fits the residual of a larger cause."""
-FIT_ONLY_TOGETHER: Final = "they fit only together with another cause that cancels them"
-PART_OF_ANOTHER: Final = "they only fit the residuals of a larger cause"
-TOO_LARGE: Final = "they fit only with a size that is physically impossible"
-FIT_ONLY_NEGATIVE: Final = "they fit only with a negative size, which is physically impossible"
-FIT_ONLY_IN_PART: Final = "they are either there completely or not at all, and fit only in part"
+FIT_ONLY_TOGETHER: Final = Message("they fit only together with another cause that cancels them")
+PART_OF_ANOTHER: Final = Message("they only fit the residuals of a larger cause")
+TOO_LARGE: Final = Message("they fit only with a size that is physically impossible")
+FIT_ONLY_NEGATIVE: Final = Message("they fit only with a negative size, which is physically impossible")
+FIT_ONLY_IN_PART: Final = Message("they are either there completely or not at all, and fit only in part")
 """Reasons for which causes are left out, in words."""
 FORMS_AT_ONCE: Final = 12  # number of forms whose inner products with all others are evaluated together
 
@@ -152,7 +153,7 @@ def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> f
     return max(ratio for ratio, _ in _excesses(candidates, form, forms))
 
 
-def _excesses(candidates: Candidates, form: Form, forms: Sequence[Form]) -> list[tuple[float, str]]:
+def _excesses(candidates: Candidates, form: Form, forms: Sequence[Form]) -> list[tuple[float, Message]]:
     """Return the ratios of a form's size to each of its limits, each with the words for a size beyond it."""
     columns, values, inverse = candidates.fitted(forms)
     at = np.searchsorted(columns, form.columns)
@@ -162,7 +163,7 @@ def _excesses(candidates: Candidates, form: Form, forms: Sequence[Form]) -> list
 
 def excesses_of(
     form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
-) -> list[tuple[float, str]]:
+) -> list[tuple[float, Message]]:
     """Return the ratios of `excess_ratio`, with words, for values (w,) in plausible sizes; ``explained`` is the χ² by all causes."""
     chi2, specification = float(values @ gram @ values), form.candidate.specification
     excesses = [(chi2 / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), FIT_ONLY_TOGETHER)]

@@ -16,6 +16,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import first_largest, largest_first
+from twin._common.messages import Message
 from twin.diagnosis.candidates.machine import variant_at
 from twin.diagnosis.cross_validation import (
     blocks_of_time,
@@ -495,7 +496,9 @@ def _possible(candidates: Candidates, forms: Sequence[Form], model: Model) -> bo
 
 
 MOST_RESELECTIONS: Final = 4  # largest number of searches with other weights
-NOT_PREDICTED: Final = "they do not predict held-out positions"  # reason for which variants are left out, in words
+NOT_PREDICTED: Final = Message(
+    "they do not predict held-out positions"
+)  # reason for which variants are left out, in words
 REFINED_CHI2: Final = 100.0
 """χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""
 MAX_REFINEMENTS: Final = 2  # largest number of refinements of periods and time constants

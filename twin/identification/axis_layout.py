@@ -19,6 +19,7 @@ from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
+from twin._common.messages import Message
 from twin._common.units import MM, UM, URAD
 from twin._common.yaml_files import EntryPath, line_of, load_yaml
 from twin.machine.machine import Axis, Machine
@@ -233,7 +234,7 @@ class BeamReadings:
     approach: np.ndarray
     time_s: np.ndarray
     set_aside: tuple[RowNote, ...] = ()
-    notices: tuple[str, ...] = ()
+    notices: tuple[Message, ...] = ()
     simulated: bool = False
 
     def __len__(self) -> int:
@@ -288,7 +289,7 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
         approach=cells.signs("approach"),
         time_s=cells.numbers("time_s"),
         notices=(
-            *(f"the file says: {text}" for text in simulated_comments(comments)),
+            *(Message("the file says: {text}", text=text) for text in simulated_comments(comments)),
             *(unused_column_note(name, sorted(known)) for name in header if name not in known),
         ),
         simulated=bool(simulated_comments(comments)),
@@ -297,20 +298,31 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
 
 
 def _usable(table: BeamReadings, layout: AxisLayout) -> BeamReadings:
-    reasons: dict[int, str] = {}
+    reasons: dict[int, Message] = {}
 
-    def aside(rows: np.ndarray, reason: str) -> None:
+    def aside(rows: np.ndarray, reason: Message) -> None:
         for row in np.flatnonzero(rows):
             reasons.setdefault(int(row), reason)
 
-    aside(~np.isfinite(table.position_mm), "a commanded position is missing or not finite")
-    aside(np.isinf(table.change_mm).any(axis=1), "a reading is not finite")
-    aside((np.abs(table.change_mm) > LARGEST_MM).any(axis=1), f"a reading exceeds {LARGEST_MM:g} mm")
-    aside(np.isfinite(table.change_mm).sum(axis=1) < FEWEST_BEAMS, f"fewer than {FEWEST_BEAMS} beams were read")
+    aside(~np.isfinite(table.position_mm), Message("a commanded position is missing or not finite"))
+    aside(np.isinf(table.change_mm).any(axis=1), Message("a reading is not finite"))
+    aside((np.abs(table.change_mm) > LARGEST_MM).any(axis=1), Message("a reading exceeds {most:g} mm", most=LARGEST_MM))
+    aside(
+        np.isfinite(table.change_mm).sum(axis=1) < FEWEST_BEAMS,
+        Message("fewer than {fewest} beams were read", fewest=FEWEST_BEAMS),
+    )
     lower, upper = layout.axis.lower, layout.axis.upper
     if lower is not None and upper is not None:
         beyond = outside_axis_range(layout.axis, table.position_mm)
-        aside(beyond, f"the command of {layout.axis.name} is outside its range {lower:g} … {upper:g} mm")
+        aside(
+            beyond,
+            Message(
+                "the command of {name} is outside its range {lower:g} … {upper:g} mm",
+                name=layout.axis.name,
+                lower=lower,
+                upper=upper,
+            ),
+        )
     keep = np.array([row not in reasons for row in range(len(table))])
     notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
     if not np.any(keep):

@@ -15,6 +15,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin._common.units import UM, URAD, count_with_noun
@@ -335,18 +336,26 @@ def _fitted(
     return replace(curves, calibration=_with_measurement(curves, motions))
 
 
-def disagreements(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
+def disagreements(motions: Motions, curves: AxisCurves) -> tuple[Message, ...]:
     """Return how the readings contradict the stated uncertainties or the curves; empty if they do not."""
     disagreements = []
     if motions.p_value < SIGNIFICANCE:
         disagreements.append(
-            f"readings of the beams disagree by more than stated (chi² {motions.chi2:.0f} for {motions.dof} degrees of "
-            "freedom): a beam, the layout or its uncertainties are not as stated"
+            Message(
+                "readings of the beams disagree by more than stated (chi² {chi2:.0f} for {dof} degrees of freedom): a "
+                "beam, the layout or its uncertainties are not as stated",
+                chi2=motions.chi2,
+                dof=motions.dof,
+            )
         )
     if curves.p_value < SIGNIFICANCE:
         disagreements.append(
-            f"the motions deviate from the curves by more than their uncertainty (chi² {curves.chi2:.0f} for {curves.dof} degrees of "
-            "freedom): short-wave errors, or more noise than stated"
+            Message(
+                "the motions deviate from the curves by more than their uncertainty (chi² {chi2:.0f} for {dof} degrees of "
+                "freedom): short-wave errors, or more noise than stated",
+                chi2=curves.chi2,
+                dof=curves.dof,
+            )
         )
     return tuple(disagreements)
 
@@ -387,14 +396,19 @@ REPEAT_RATIO: Final = 3.0
 """Ratio of the standard deviation of repeats to the noise of the beams above which it is reported."""
 
 
-def notices(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
+def notices(motions: Motions, curves: AxisCurves) -> tuple[Message, ...]:
     """Return the facts to know before using the result."""
     notices = list(disagreements(motions, curves))
     own = np.sqrt(np.einsum("nii->ni", motions.displacement.noise_covariance)).mean(axis=0) * 1e6
     varying = [i for i in range(6) if motions.spread == "stated" and motions.repeatability[i] > REPEAT_RATIO * own[i]]
     if varying:
         names = ", ".join(f"E_{NAMES[i]}{motions.axis}" for i in varying)
-        notices.append(f"{names}: repeats vary more than the beams' noise explains; base the uncertainty on repeats")
+        notices.append(
+            Message(
+                "{names}: repeats vary more than the beams' noise explains; base the uncertainty on repeats",
+                names=names,
+            )
+        )
     return tuple(notices)
 
 

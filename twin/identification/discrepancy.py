@@ -33,7 +33,8 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf
-from twin._common.units import MM, count_with_noun
+from twin._common.messages import Message
+from twin._common.units import MM
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, Spread
 from twin.measurement.columns import RowNote
@@ -54,7 +55,7 @@ HUBER: Final = 2.0
 """Distance, in standard deviations of a coordinate, above which a row's influence no longer increases if the model has a misfit."""
 NOISE_OF_FIT: Final = 1.1
 """Size of the whitened residuals up to which the model is taken to fit, in view of their random variation for some hundred readings."""
-OUTLIER: Final = "outlier, not used"
+OUTLIER: Final = Message("outlier, not used")
 MANY_OUTLIERS: Final = 0.02
 """Share of the rows above which outliers indicate that the model is wrong."""
 
@@ -188,7 +189,13 @@ def outlier_notes(
         size = float(np.linalg.norm(off)) / MM
         sigmas = float(np.linalg.norm(whitened[row]))
         repeats_of_row = np.flatnonzero((group == group[row]) & ~bad)
-        text = f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: residual {size * 1e3:.1f} µm"
+        text = Message(
+            "target {target}, round {round}, station {station}: residual {size:.1f} µm",
+            target=data.target[row],
+            round=data.round[row],
+            station=data.station[row],
+            size=size * 1000.0,
+        )
         if (
             network.instruments.by_station[data.station[row]].specification.beam
             and np.isfinite(data.point_mm[row]).all()
@@ -196,30 +203,43 @@ def outlier_notes(
         ):
             beam = network.readings[row] / np.linalg.norm(network.readings[row])
             along = float(off @ beam) / MM
-            text += f", {abs(along) * 1e3:.1f} µm of it along the beam"
-        text += f" ({sigmas:.1f} standard deviations)"
+            text += Message(", {size:.1f} µm of it along the beam", size=abs(along) * 1000.0)
+        text += Message(" ({sigmas:.1f} standard deviations)", sigmas=sigmas)
         if len(repeats_of_row):
             others = float(np.median(np.linalg.norm(difference[repeats_of_row], axis=1))) / MM
-            text += f"; median residual of its {count_with_noun(len(repeats_of_row), 'repeat')}: {others * 1e3:.1f} µm"
-        notes.append(RowNote(int(data.lines[row]), f"outlier, not used: {text}", OUTLIER, sigmas))
+            text += Message(
+                "; median residual of its repeats ({count}): {size:.1f} µm",
+                count=len(repeats_of_row),
+                size=others * 1000.0,
+            )
+        notes.append(RowNote(int(data.lines[row]), Message("outlier, not used: {text}", text=text), OUTLIER, sigmas))
     return tuple(notes)
 
 
-def many_outliers_notice(rows: RowAssessment) -> tuple[str, ...]:
+def many_outliers_notice(rows: RowAssessment) -> tuple[Message, ...]:
     """Return a notice if the share of outliers indicates that the model is wrong, not the readings."""
     share = float(np.mean(rows.bad)) if len(rows.bad) else 0.0
     if share <= MANY_OUTLIERS:
         return ()
-    text = (
-        f"{int(np.sum(rows.bad)):,} of {len(rows.bad):,} rows ({100.0 * share:.1f} %) are outliers: probably the model is incomplete, "
-        "not the readings wrong. Run `twin diagnose`"
+    text = Message(
+        "{bad:,} of {count:,} rows ({share:.1f} %) are outliers: probably the model is incomplete, not the "
+        "readings wrong. Run `twin diagnose`",
+        bad=int(np.sum(rows.bad)),
+        count=len(rows.bad),
+        share=100.0 * share,
     )
     largest = max(rows.misfit_um, key=lambda key: rows.misfit_um[key], default=None)
     if largest is None:
         return (text,)
     target, station = largest
     return (
-        f"{text}. Misfit of the other rows of target {target} from station {station}: {rows.misfit_um[largest]:.3g} µm per coordinate",
+        Message(
+            "{text}. Misfit of the other rows of target {target} from station {station}: {misfit:.3g} µm per coordinate",
+            text=text,
+            target=target,
+            station=station,
+            misfit=rows.misfit_um[largest],
+        ),
     )
 
 

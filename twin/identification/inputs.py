@@ -10,6 +10,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError, require_type
+from twin._common.messages import Message
 from twin._common.units import MM
 from twin.identification.network import Network, stated_covariance
 from twin.identification.solve import SIGNIFICANCE, Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
@@ -128,7 +129,7 @@ def _check_artefacts(data: Measurements, setup: StationsAndTargets) -> None:
             )
 
 
-def _check_sensors(data: Measurements, carried: CarriedTargets) -> list[str]:
+def _check_sensors(data: Measurements, carried: CarriedTargets) -> list[Message]:
     """Return a notice for each coordinate that never changes.
 
     Raises `InputError`: a target of which no coordinate ever changes, although the commands move it wherever it sits on its carrier; a
@@ -146,7 +147,7 @@ def _check_sensors(data: Measurements, carried: CarriedTargets) -> list[str]:
     return notices
 
 
-def _check_signal(data: Measurements, rows: np.ndarray, motion: np.ndarray) -> list[str]:
+def _check_signal(data: Measurements, rows: np.ndarray, motion: np.ndarray) -> list[Message]:
     """Return a notice, or raise `InputError`, if nothing that a station reads of a target changes, although its carrier moves it.
 
     ``rows``: (k,) those of the station and target; ``motion``: (k, 3) least motion of the target, m.
@@ -157,21 +158,26 @@ def _check_signal(data: Measurements, rows: np.ndarray, motion: np.ndarray) -> l
     far = int(np.argmax(np.linalg.norm(motion - motion[0], axis=1)))
     moved = float(np.linalg.norm(motion[far] - motion[0]))
     target, station = data.target[rows[0]], data.station[rows[0]]
-    message = (
-        f"readings of target {target} from station {station} are equal in all {len(rows)} rows, but it was moved by"
-    )
     if moved > LEAST_MOTION_M:
         raise data.error(
-            f"sensor without signal: {message} {moved / MM:.3g} mm",
+            f"sensor without signal: readings of target {target} from station {station} are equal in all {len(rows)} rows, but it "
+            f"was moved by {moved / MM:.3g} mm",
             expected="readings that follow the commands; check the sensor, its cable and its column",
             row=rows[far],
             value=", ".join(f"{POINT_COLUMNS[i]} {data.point_mm[rows[0], i]:g}" for i in np.flatnonzero(read)),
         )
-    coarse = f"{message} {moved / MM:.2g} mm: the sensor is dead or its resolution is coarse"
+    coarse = Message(
+        "readings of target {target} from station {station} are equal in all {count} rows, but it was moved by {distance:.2g} mm: the "
+        "sensor is dead or its resolution is coarse",
+        target=target,
+        station=station,
+        count=len(rows),
+        distance=moved / MM,
+    )
     return [coarse] if moved > NOTICEABLE_MOTION_M else []
 
 
-def _check_sphere(data: Measurements, rows: np.ndarray, motion: np.ndarray) -> list[str]:
+def _check_sphere(data: Measurements, rows: np.ndarray, motion: np.ndarray) -> list[Message]:
     """Raise `InputError` if a sphere moves in the frame of its probe; arguments as `_check_signal`."""
     distance = np.linalg.norm(motion, axis=1)
     if distance.max() > NOT_PROBED_M:
@@ -184,7 +190,7 @@ def _check_sphere(data: Measurements, rows: np.ndarray, motion: np.ndarray) -> l
     return []
 
 
-def implausible_tips(data: Measurements, setup: StationsAndTargets) -> tuple[str, ...]:
+def implausible_tips(data: Measurements, setup: StationsAndTargets) -> tuple[Message, ...]:
     """Return a notice for each probe whose tip would be above the spindle nose: the positions are probably those of the tip."""
     implausible_tips = []
     for i, name in enumerate(setup.stations):
@@ -192,8 +198,12 @@ def implausible_tips(data: Measurements, setup: StationsAndTargets) -> tuple[str
         above = float(setup.origin[i, 2])
         if setup.reads[i].reads == "null" and data.station_carrier[rows][0] == "tool" and above > ABOVE_NOSE_M:
             implausible_tips.append(
-                f"the tip of probe {name} would be {above / MM:.0f} mm above the spindle nose: the positions may be those of the tip "
-                "(tool centre point control active), not those of the axes"
+                Message(
+                    "the tip of probe {name} would be {height:.0f} mm above the spindle nose: the positions may be those of "
+                    "the tip (tool centre point control active), not those of the axes",
+                    name=name,
+                    height=above / MM,
+                )
             )
     return tuple(implausible_tips)
 
@@ -206,7 +216,7 @@ def _constant(point_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (read.sum(axis=0) >= FEWEST_ROWS) & (low == high), read.any(axis=0)
 
 
-def _constant_coordinates(data: Measurements, rows: np.ndarray, carried: CarriedTargets) -> list[str]:
+def _constant_coordinates(data: Measurements, rows: np.ndarray, carried: CarriedTargets) -> list[Message]:
     """Return a notice for each coordinate of a station, read in some rows, that never changes while others do."""
     point_mm = data.point_mm[rows]
     constant, read = _constant(point_mm)
@@ -214,23 +224,33 @@ def _constant_coordinates(data: Measurements, rows: np.ndarray, carried: Carried
     if moved <= LEAST_MOTION_M or np.array_equal(constant, read):
         return []
     return [
-        f"{POINT_COLUMNS[i]} of station {data.station[rows[0]]} is {point_mm[np.isfinite(point_mm[:, i]), i][0]:g} in every row "
-        f"while its targets move by {moved / MM:.3g} mm: a dead channel, unless they move in a plane and are noise-free"
+        Message(
+            "{column} of station {station} is {value:g} in every row while its targets move by {distance:.3g} mm: a "
+            "dead channel, unless they move in a plane and are noise-free",
+            column=POINT_COLUMNS[i],
+            station=data.station[rows[0]],
+            value=point_mm[np.isfinite(point_mm[:, i]), i][0],
+            distance=moved / MM,
+        )
         for i in np.flatnonzero(constant)
     ]
 
 
-def _unobserved_axes(machine: Machine, data: Measurements) -> list[str]:
+def _unobserved_axes(machine: Machine, data: Measurements) -> list[Message]:
     """Return a notice for each axis that moved although no target or station is on the side that it carries."""
     sides = {*data.carrier, *data.station_carrier}
     return [
-        f"{axis.name} moved, but it carries the {axis.side} side, which has no target: its errors are not identifiable"
+        Message(
+            "{name} moved, but it carries the {side} side, which has no target: its errors are not identifiable",
+            name=axis.name,
+            side=axis.side,
+        )
         for axis in map(machine.by_name.__getitem__, data.moved(machine))
         if axis.side != "both" and axis.side not in sides
     ]
 
 
-def _mirrored_planes(data: Measurements, setup: StationsAndTargets) -> list[str]:
+def _mirrored_planes(data: Measurements, setup: StationsAndTargets) -> list[Message]:
     """Return a notice for each station that reads two coordinates and looks at their plane from the negative side.
 
     Readings in a plane fit either way: a station on the other side sees a mirror image.
@@ -245,17 +265,22 @@ def _mirrored_planes(data: Measurements, setup: StationsAndTargets) -> list[str]
         size = np.linalg.svd(whole - whole.mean(axis=0), compute_uv=False)
         unread = int(np.flatnonzero(~read)[0])
         if size[1] > IN_LINE * size[0] and setup.rotation[i][unread, unread] < -0.5:
-            columns = " and ".join(POINT_COLUMNS[k] for k in np.flatnonzero(read))
+            columns = ", ".join(POINT_COLUMNS[k] for k in np.flatnonzero(read))
             mirrored_planes.append(
-                f"station {setup.stations[i]} reads {columns} only, and its readings fit a station on the machine's -{'xyz'[unread]} "
-                "side: if it is not there, one column of commands or readings has the wrong sign (mirrored axis)"
+                Message(
+                    "station {station} reads {columns} only, and its readings fit a station on the machine's -{direction} "
+                    "side: if it is not there, one column of commands or readings has the wrong sign (mirrored axis)",
+                    station=setup.stations[i],
+                    columns=columns,
+                    direction="xyz"[unread],
+                )
             )
     return mirrored_planes
 
 
 def _instruments(
     machine: Machine, data: Measurements, instrument: Instrument | None
-) -> tuple[StationInstruments, tuple[str, ...]]:
+) -> tuple[StationInstruments, tuple[Message, ...]]:
     """Return the instrument of each station, and notices of assumptions.
 
     A station has the instrument that the table names. If it names none, stations of the same kind (the side on which they ride, the
@@ -271,7 +296,7 @@ def _instruments(
         zero = bool(np.all(probed[rows]))
         kinds.setdefault((str(data.instrument[rows][0]), side, zero, *read.any(axis=0)), []).append(station)
     instruments: dict[str, Instrument] = {}
-    notices: list[str] = []
+    notices: list[Message] = []
     for (name, side, zero, *_), stations in kinds.items():
         part = data if len(kinds) == 1 else data.select(np.isin(data.station.astype(str), stations))
         named = instrument_named(name) if name else instrument
@@ -285,7 +310,7 @@ def _instruments(
 
 def _instrument(
     machine: Machine, data: Measurements, instrument: Instrument | None, side: str
-) -> tuple[Instrument, tuple[str, ...]]:
+) -> tuple[Instrument, tuple[Message, ...]]:
     """Return the instrument of stations of one kind, and notices of assumptions.
 
     An empty field is a coordinate that was not measured: a scale parallel to a stage reads x alone. The length of a tracking
@@ -307,10 +332,15 @@ def _instrument(
     length = data.point_mm[np.isfinite(data.point_mm[:, 0]), 0]
     if instrument is None and side != SIDES[0] and read == [0] and np.ptp(length) < BALL_BAR_TRAVEL * length.mean():
         bar = default_instrument("length", side, float(length.max()))
-        return bar, (f"{ASSUMED}x_mm is an absolute length, read by a {bar.specification.title}: it hardly changes",)
+        return bar, (
+            Message(
+                "assumed: x_mm is an absolute length, read by a {title}: it hardly changes",
+                title=bar.specification.title,
+            ),
+        )
     column, points = POINT_COLUMNS[read[0]], default_instrument("point", side)
     if _follows_as_coordinate(machine, data):
-        notice = f"only {column} is given: taken as the coordinate of all targets along a line"
+        notice = Message("only {column} is given: taken as the coordinate of all targets along a line", column=column)
         return instrument or points, () if read == [0] else (notice,)
     unit = other_unit(machine, data, StationInstruments.same(points, data.station))
     if unit is not None or read != [0] or instrument is not None or not _may_be_length(machine, data):
@@ -322,8 +352,11 @@ def _instrument(
             value=f"{data.point_mm[0, read[0]]:g}",
         )
     return default_instrument("length"), (
-        f"{ASSUMED}x_mm is a length from an unknown zero, read by a tracking interferometer: only x_mm is given, and it does not "
-        "follow the commands as a coordinate. Otherwise name the instrument, or give y_mm and z_mm.",
+        Message(
+            "assumed: x_mm is a length from an unknown zero, read by a tracking interferometer: only x_mm is given, "
+            "and it does not follow the commands as a coordinate. Otherwise name the instrument, or give y_mm and "
+            "z_mm."
+        ),
     )
 
 
@@ -350,7 +383,7 @@ def _may_be_length(machine: Machine, data: Measurements) -> bool:
     return False
 
 
-def certificate_notices(network: Network, setup: StationsAndTargets) -> list[str]:
+def certificate_notices(network: Network, setup: StationsAndTargets) -> list[Message]:
     """Return a notice for each certificate that the estimated places contradict: chi² of its whitened residuals."""
     notices = []
     for artefact in network.data.artefacts:
@@ -361,8 +394,13 @@ def certificate_notices(network: Network, setup: StationsAndTargets) -> list[str
         chi2 = float(residual @ residual)
         if len(residual) and chi2_sf(chi2, len(residual)) < SIGNIFICANCE:
             notices.append(
-                f"THE READINGS CONTRADICT CERTIFICATE {artefact.number}: chi² {chi2:.4g} of {len(residual)} known values. Check the "
-                "artefact's temperature, the targets' names and the instrument's scale"
+                Message(
+                    "THE READINGS CONTRADICT CERTIFICATE {number}: chi² {chi2:.4g} of {count} known values. Check the "
+                    "artefact's temperature, the targets' names and the instrument's scale",
+                    number=artefact.number,
+                    chi2=chi2,
+                    count=len(residual),
+                )
             )
     return notices
 
@@ -386,7 +424,7 @@ class NoiseOfReadings:
     spread: Spread
     contradicted: tuple[str, ...]
     assumed: tuple[str, ...]
-    notices: tuple[str, ...]
+    notices: tuple[Message, ...]
 
     def interval_text(self, *, incomplete: bool) -> str:
         """Return on which noise the intervals are based; ``incomplete``: whether residuals exceed the noise."""
@@ -428,9 +466,13 @@ def reading_noise(machine: Machine, placed: PreparedData, spread: Spread, *, nam
         elif not (of_table or named or all(data.instrument[rows]) or (own is not None and own.decide)):
             assumed.append(instrument.name)
             notices.append(
-                f"{ASSUMED}the readings are those of a {instrument.specification.title}, "
-                f"{noise_text(instrument, point, stated[rows])}: the table names no instrument and has too few repeats "
-                f"to test this{_others(instrument)}"
+                Message(
+                    "assumed: the readings are those of a {title}, {noise}: the table names no instrument and has too few "
+                    "repeats to test this{others}",
+                    title=instrument.specification.title,
+                    noise=noise_text(instrument, point, stated[rows]),
+                    others=_others(instrument),
+                )
             )
     return NoiseOfReadings(
         read_only(covariance),
@@ -441,18 +483,27 @@ def reading_noise(machine: Machine, placed: PreparedData, spread: Spread, *, nam
     )
 
 
-def _contradiction(repeats: Repeats, *, of_table: bool, point: np.ndarray, stated: np.ndarray) -> str:
+def _contradiction(repeats: Repeats, *, of_table: bool, point: np.ndarray, stated: np.ndarray) -> Message:
     """Return the notice that repeats contradict the stated noise."""
     instrument = repeats.instrument
-    source = "the table's uncertainties" if of_table else f"the noise of a {instrument.specification.title}"
-    return (
-        f"the repeats contradict {source} ({noise_text(instrument, point, stated)}): reduced chi² {repeats.reduced_chi2:.3g} "
-        f"({repeats.dof} degrees of freedom a coordinate). Their standard deviation is taken instead: "
-        f"{noise_text(instrument, point, repeats.covariance)}{'' if of_table else _others(instrument)}"
+    source = (
+        Message("the table's uncertainties")
+        if of_table
+        else Message("the noise of a {title}", title=instrument.specification.title)
+    )
+    return Message(
+        "the repeats contradict {source} ({stated}): reduced chi² {chi2:.3g} ({dof} degrees of freedom a "
+        "coordinate). Their standard deviation is taken instead: {taken}{others}",
+        source=source,
+        stated=noise_text(instrument, point, stated),
+        chi2=repeats.reduced_chi2,
+        dof=repeats.dof,
+        taken=noise_text(instrument, point, repeats.covariance),
+        others="" if of_table else _others(instrument),
     )
 
 
 def _others(instrument: Instrument) -> str:
     """Return the names of the other instruments with such readings, as a clause; empty if there is none."""
     names = others_alike(instrument)
-    return f". If it was another one, name it: {', '.join(names)}" if names else ""
+    return Message(". If it was another one, name it: {names}", names=", ".join(names)) if names else ""

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.messages import Message
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin._common.units import MM, URAD, count_with_noun
@@ -174,7 +175,7 @@ class Identification(DisplayedResult):
     residual_mm: np.ndarray
     whitened: np.ndarray
     set_aside: tuple[RowNote, ...]
-    notices: tuple[str, ...]
+    notices: tuple[Message, ...]
     converged: bool
     network: Network
     solution: FitSolution

@@ -24,6 +24,7 @@ import scipy
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf, f_sf
+from twin._common.messages import Message, Number
 from twin._common.resources import map_chunks
 from twin._common.units import MM, URAD
 from twin.identification.network import Network, Unknowns
@@ -574,10 +575,10 @@ def noise_text(instrument: Instrument, readings: np.ndarray, covariance: np.ndar
         beam = readings / np.linalg.norm(readings, axis=1, keepdims=True)
         along = np.einsum("ni,nij,nj->n", beam, covariance, beam)
         across = (variance.sum(axis=1) - along) / 2.0
-        sizes = [f"{1e6 * np.sqrt(np.median(own)):.2g} µm" for own in (along, across)]
-        return f"{sizes[0]} along the beam, {sizes[1]} across"
+        sizes = [Number(f"{1e6 * np.sqrt(np.median(own)):.2g} µm") for own in (along, across)]
+        return Message("{along} along the beam, {across} across", along=sizes[0], across=sizes[1])
     each = variance.sum(axis=1)[read.any(axis=1)] / np.count_nonzero(read[read.any(axis=1)], axis=1)
-    return f"{1e6 * np.sqrt(np.median(each)):.2g} µm"
+    return Number(f"{1e6 * np.sqrt(np.median(each)):.2g} µm")
 
 
 def repeats_of(

@@ -315,9 +315,11 @@ def _lost(names: list[str], lost: np.ndarray, within: np.ndarray, slopes: np.nda
     if count == 1 and len(scales) > 1 and max(scales) < len(slopes):
         value = basis[0][np.array(included)] * slopes[np.array(scales)]
         if np.ptp(value) < EQUAL * np.abs(value).max():
-            return (f"the common scale of {' and '.join(names[i][-1] for i in scales)}", *found)
-    listed = ", ".join(others[i] for i in included)
-    return (f"{count_with_noun(count, 'combination')} of {listed}", *found)
+            return (Message("the common scale of {names}", names=listed([names[i][-1] for i in scales])), *found)
+    combined = ", ".join(others[i] for i in included)
+    if count == 1:
+        return (Message("1 combination of {names}", names=combined), *found)
+    return (Message("{count} combinations of {names}", count=count, names=combined), *found)
 
 
 # --- Errors that the data do not determine, with the reason, and errors that depend on an undetermined part of the set-up
@@ -532,7 +534,7 @@ def _reference(axis: str, machine: Machine) -> str:
     )
 
 
-def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
+def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[Message]:
     """Return a notice of the errors that refer to a point of the targets' carrier which the set-up does not determine."""
     if solution.spectrum.null_space.shape[1] == 0:
         return []
@@ -546,10 +548,14 @@ def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
     )
     if not names:
         return []
-    places = " and ".join(dict.fromkeys(read.set_up.target_place for read in solution.setup.reads))
+    places = joined(", ", list(dict.fromkeys(read.set_up.target_place for read in solution.setup.reads)))
     return [
-        f"{', '.join(names)} refer to a point of the targets' carrier whose distance from the machine's own origin is not known; "
-        f"their uncertainty includes 0.2 m for it. Enter {places} to reduce it"
+        Message(
+            "{names} refer to a point of the targets' carrier whose distance from the machine's own origin is not "
+            "known; their uncertainty includes 0.2 m for it. Enter {places} to reduce it",
+            names=", ".join(names),
+            places=places,
+        )
     ]
 
 

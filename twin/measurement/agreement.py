@@ -18,6 +18,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.units import MM, count_with_noun
 from twin.machine.machine import Axis, Machine
 from twin.measurement.columns import CARRIERS, POINT_COLUMNS, SYSTEMATIC_ROWS, RowNote, axis_columns, outside_axis_range
@@ -187,13 +188,18 @@ def agreeing_rows(
 
 def _notes_of_disagreement(data: Measurements, bad: np.ndarray, miss: np.ndarray) -> tuple[RowNote, ...]:
     """Return a note for each of the bad rows."""
-    causes = "wrong position, wrong target or lost beam"
+    causes = Message("wrong position, wrong target or lost beam")
     return tuple(
         RowNote(
             int(data.lines[row]),
-            f"the reading disagrees with the command by {miss[row] / MM:.1f} mm (target {data.target[row]}, "
-            f"round {data.round[row]}): {causes}",
-            kind=f"the reading disagrees with the command: {causes}",
+            Message(
+                "the reading disagrees with the command by {distance:.1f} mm (target {target}, round {round}): {causes}",
+                distance=miss[row] / MM,
+                target=data.target[row],
+                round=data.round[row],
+                causes=causes,
+            ),
+            kind=Message("the reading disagrees with the command: {causes}", causes=causes),
             size=float(miss[row]),
         )
         for row in np.flatnonzero(bad)

@@ -11,7 +11,6 @@ result is never too confident, whatever the correlation. The same holds of n qua
 
 Values hold at 20 °C (ISO 1). At another temperature the artefact is larger by the coefficient of thermal expansion that the certificate
 states (`Artefact.at`); the uncertainties of coefficient and temperature act on all lengths alike.
-
 Checked is what is used, in D-SI 2.0 to 2.2: twin has no copy of the schema.
 """
 
@@ -20,6 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
@@ -30,6 +30,7 @@ from scipy.linalg import block_diag
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import read_text
+from twin._common.messages import Message
 from twin._common.units import MM, UM, count_with_noun
 from twin._common.xml_files import Element, parse_xml
 from twin._common.yaml_files import MAX_VALUE
@@ -65,6 +66,17 @@ LEAST_EIGENVALUE: Final = 1e-12
 SMALLEST_U_M: Final = 1e-12
 """Standard uncertainty, m, below which none is stated: no laboratory is that good, and weights stay finite."""
 REFERENCE_DEGC: Final = 20.0
+AT_TEMPERATURE: Final = partial(
+    Message,
+    "its values are those at {temperature:.4g} °C, by its coefficient of thermal expansion of {alpha:.3g} µm/(m·K), u {u:.2g}",
+)
+CERTIFICATE: Final = partial(
+    Message, "certificate {number} ({item}): {what} of {count} targets known, {correlation}; {temperature}"
+)
+STATED: Final = Message("with the covariance that it states")
+ENLARGED: Final = partial(
+    Message, "it states no correlation, so its variances are multiplied by {factor}, which covers any correlation"
+)
 TEMPERATURE_U_K: Final = 0.2
 """Standard uncertainty of an artefact's temperature: thermometer, and gradients inside the artefact."""
 MOST_EXPANSION: Final = 2e-4
@@ -148,28 +160,19 @@ class Artefact(Result):
         return _loaded(Path(path), tuple(dict.fromkeys(targets)))
 
     @property
-    def brief(self) -> str:
+    def brief(self) -> Message:
         """The certificate and what is used of it, in one line."""
-        what = count_with_noun(len(self.pairs), "distance") if len(self.pairs) else "coordinates"
-        correlation = (
-            "with the covariance that it states"
-            if self.enlarged == 1
-            else f"it states no correlation, so its variances are multiplied by {self.enlarged}, which covers any correlation"
-        )
-        return (
-            f"certificate {self.number} ({self.item}): {what} of {count_with_noun(len(self.targets), 'target')} known, {correlation}; "
-            f"{self._temperature_text}"
-        )
+        what = Message("{count} distances", count=len(self.pairs)) if len(self.pairs) else Message("coordinates")
+        correlation = STATED if self.enlarged == 1 else ENLARGED(factor=self.enlarged)
+        of = {"correlation": correlation, "temperature": self._temperature_text, "count": len(self.targets)}
+        return CERTIFICATE(number=self.number, item=self.item, what=what, **of)
 
     @property
-    def _temperature_text(self) -> str:
+    def _temperature_text(self) -> Message:
         if self.temperature_degC == REFERENCE_DEGC or self.expansion is None:
-            return "its values are used as stated, without thermal expansion of the artefact"
+            return Message("its values are used as stated, without thermal expansion of the artefact")
         alpha, u = (1e6 * value for value in self.expansion)
-        return (
-            f"its values are those at {self.temperature_degC:.4g} °C, by its coefficient of thermal expansion of {alpha:.3g} µm/(m·K), "
-            f"u {u:.2g}"
-        )
+        return AT_TEMPERATURE(temperature=self.temperature_degC, alpha=alpha, u=u)
 
     def at(self, temperature_degC: float, u_K: float = TEMPERATURE_U_K) -> Artefact:
         """Return the artefact at a temperature, whose uncertainty and that of the coefficient are in the covariance.

@@ -16,7 +16,7 @@ from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells
 from twin._common.errors import InputError
 from twin._common.messages import Message
-from twin._common.units import MM, UM, count_with_noun
+from twin._common.units import MM, UM
 from twin.machine.machine import Axis, Machine
 from twin.measurement.instruments.base import SIDES
 
@@ -204,54 +204,59 @@ class RowNote:
     Attributes:
         line: 1-based line.
         text: the note, with this row's own values.
-        kind: the reason without the row's values, by which notes are grouped; the text if empty.
+        kind: the reason without the row's values, by which notes are grouped; None for the text.
         size: severity, to find the worst row of a group; None where all rows of the group are equally bad.
     """
 
     line: int
-    text: str
-    kind: str = ""
+    text: Message
+    kind: Message | None = None
     size: float | None = None
 
 
-def assumptions(notices: Iterable[str]) -> list[str]:
+def assumptions(notices: Iterable[Message]) -> list[Message]:
     """Return the notices that state an assumption about the data; reports print them before any result."""
     return [notice for notice in notices if notice.startswith(ASSUMED)]
 
 
-def overstated_noise(rms_um: float, chi2: float, dof: float) -> tuple[str, ...]:
+def overstated_noise(rms_um: float, chi2: float, dof: float) -> tuple[Message, ...]:
     """Return a notice if the residuals are far smaller than the stated noise: its unit may be wrong, and it would hide errors."""
     if dof < FEWEST_DOF or chi2 > OVERSTATED * dof:
         return ()
     times = float(np.sqrt(dof / chi2)) if chi2 > 0.0 else np.inf
     return (
-        f"{ASSUMED}the stated measurement noise is right, although it is {times:.3g} times the residuals ({rms_um:.3g} µm): check the "
-        "unit of u_x_mm, u_y_mm, u_z_mm, because noise that is stated too large hides errors",
+        Message(
+            "assumed: the stated measurement noise is right, although it is {times:.3g} times the residuals "
+            "({rms_um:.3g} µm): check the unit of u_x_mm, u_y_mm, u_z_mm, because noise that is stated too large hides"
+            " errors",
+            times=times,
+            rms_um=rms_um,
+        ),
     )
 
 
-def grouped_notes(notes: Iterable[RowNote]) -> list[str]:
+def grouped_notes(notes: Iterable[RowNote]) -> list[Message]:
     """Return one line of text for each reason: the number of rows, the first line numbers and the worst row.
 
     ``notes``: notes of any kind; A single note keeps its own text; groups keep the order in which their reasons first appear.
     """
-    groups: dict[str, list[RowNote]] = {}
+    groups: dict[Message, list[RowNote]] = {}
     for note in notes:
         groups.setdefault(note.kind or note.text, []).append(note)
     return [_group_text(kind, group) for kind, group in groups.items()]
 
 
-def _group_text(kind: str, group: Sequence[RowNote]) -> str:
+def _group_text(kind: Message, group: Sequence[RowNote]) -> Message:
     if len(group) == 1:
-        return f"line {group[0].line}: {group[0].text}"
+        return Message("line {line}: {text}", line=group[0].line, text=group[0].text)
     lines = ", ".join(str(note.line) for note in group[:FIRST_LINES])
-    more = f" and {len(group) - FIRST_LINES:,} more" if len(group) > FIRST_LINES else ""
-    text = f"{count_with_noun(len(group), 'row')} (lines {lines}{more}): {kind}"
+    more = Message(" and {count:,} more", count=len(group) - FIRST_LINES) if len(group) > FIRST_LINES else ""
+    text = Message("{count:,} rows (lines {lines}{more}): {kind}", count=len(group), lines=lines, more=more, kind=kind)
     sized = [note for note in group if note.size is not None]
     if not sized:
         return text
     worst = max(sized, key=lambda note: note.size or 0.0)
-    return f"{text}; worst, line {worst.line}: {worst.text}"
+    return Message("{text}; worst, line {line}: {worst}", text=text, line=worst.line, worst=worst.text)
 
 
 def copied_rows(
@@ -406,7 +411,7 @@ def _roundest_between(low: float, high: float) -> float:
     return middle
 
 
-def unused_names(what: str, names: np.ndarray, reasons: Mapping[int, str]) -> list[str]:
+def unused_names(what: Message, names: np.ndarray, reasons: Mapping[int, Message]) -> list[Message]:
     """Return a notice for each station or target that has no usable row.
 
     ``what``: ``station`` or ``target``; ``names``: (n,) name of the station or target of every row; ``reasons``: reason why a row is
@@ -418,11 +423,19 @@ def unused_names(what: str, names: np.ndarray, reasons: Mapping[int, str]) -> li
         why = Counter(reasons[int(row)] for row in rows if int(row) in reasons)
         if sum(why.values()) == len(rows):
             main = why.most_common(1)[0][0]
-            unused_names.append(f"{what} {name} is not used: none of its {len(rows)} rows is usable ({main})")
+            unused_names.append(
+                Message(
+                    "{what} {name} is not used: none of its {count} rows is usable ({reason})",
+                    what=what,
+                    name=name,
+                    count=len(rows),
+                    reason=main,
+                )
+            )
     return unused_names
 
 
-def missing_rounds(target: np.ndarray, names: np.ndarray, positions: np.ndarray) -> list[str]:
+def missing_rounds(target: np.ndarray, names: np.ndarray, positions: np.ndarray) -> list[Message]:
     """Return a notice for each round that lacks points which the other rounds of the same target contain.
 
     ``target``: (n,) names of targets; ``names``: (n,) names of rounds; ``positions``: (n, axes) commands.
@@ -430,7 +443,7 @@ def missing_rounds(target: np.ndarray, names: np.ndarray, positions: np.ndarray)
     points: dict[tuple[str, str], set[bytes]] = {}
     for reflector, name, position in zip(target, names, positions, strict=True):
         points.setdefault((reflector, name), set()).add(position.tobytes())
-    notices: list[str] = []
+    notices: list[Message] = []
     for reflector in dict.fromkeys(target):
         of = {name: found for (other, name), found in points.items() if other == reflector}
         if len(of) < 2:

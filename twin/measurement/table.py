@@ -102,7 +102,7 @@ def length_comment(bar_mm: np.ndarray) -> list[str]:
     return [f"{COMMENT}: {length:.12g} mm" for length in lengths]
 
 
-def with_length(values: Mapping[str, Any], length_mm: float) -> tuple[dict[str, Any], tuple[str, ...]]:
+def with_length(values: Mapping[str, Any], length_mm: float) -> tuple[dict[str, Any], tuple[Message, ...]]:
     """Return the fields of a table that the length of its ball bar changes, and what to note.
 
     The rows of the ball bar are those that name it, and those without an instrument that read a length alone from a station on the
@@ -125,7 +125,9 @@ def with_length(values: Mapping[str, Any], length_mm: float) -> tuple[dict[str, 
     bar[rows] = length_mm
     deviations = rows & (point[:, 0] < length_mm / 2.0)
     point[deviations, 0] += length_mm
-    note = f"lengths near zero count as deviations from the ball bar's length of {length_mm:.12g} mm"
+    note = Message(
+        "lengths near zero count as deviations from the ball bar's length of {length_mm:.12g} mm", length_mm=length_mm
+    )
     return {"point_mm": read_only(point), "bar_mm": read_only(bar)}, (note,) if deviations.any() else ()
 
 
@@ -209,7 +211,7 @@ class Measurements(DisplayedResult):
     temperature_degC: Mapping[str, np.ndarray] = field(default_factory=lambda: MappingProxyType({}))
     channels: Mapping[str, np.ndarray] = field(default_factory=lambda: MappingProxyType({}))
     set_aside: tuple[RowNote, ...] = ()
-    notices: tuple[str, ...] = ()
+    notices: tuple[Message, ...] = ()
     simulated: bool = False
     feed_mm_min: np.ndarray = field(default_factory=_absent)
     bar_mm: np.ndarray = field(default_factory=_absent)
@@ -465,7 +467,7 @@ class Measurements(DisplayedResult):
 
 def _fields(
     reader: Cells, parts: Sequence[TableColumns], comments: Sequence[str]
-) -> tuple[dict[str, Any], tuple[str, ...]]:
+) -> tuple[dict[str, Any], tuple[Message, ...]]:
     """Return the fields of a table by name, with angles and a ball bar's lengths as points, and what to note."""
     values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
     if any(name in reader.columns for name in ANGLE_COLUMNS):
@@ -550,7 +552,7 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
     check_ranges(machine.axes, table.positions, table.lines, table.source)
     reasons: dict[int, RowNote] = {}
 
-    def aside(rows: np.ndarray, reason: str) -> None:
+    def aside(rows: np.ndarray, reason: Message) -> None:
         for row in np.flatnonzero(rows):
             reasons.setdefault(int(row), RowNote(int(table.lines[row]), reason))
 
@@ -574,7 +576,9 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
     read = usable_rows[np.any(np.nan_to_num(table.point_mm[usable_rows]) != 0.0, axis=1)]
     for row, before in _copies(table, read, unknown_cells).items():
         text = Message("copy of line {line}: equal in every column", line=str(table.lines[before]))
-        reasons[row] = RowNote(int(table.lines[row]), text, kind="copy of an earlier line: equal in every column")
+        reasons[row] = RowNote(
+            int(table.lines[row]), text, kind=Message("copy of an earlier line: equal in every column")
+        )
     keep = np.array([row not in reasons for row in range(len(table))])
     for station in dict.fromkeys(table.station):
         of = keep & (table.station == station)
@@ -588,7 +592,10 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
         what = f"no usable row of station {table.station[table.lines == first.line][0]}: {first.text}"
         raise InputError(what, expected="measured points", file=table.source, line=first.line)
     why = {row: note.kind or note.text for row, note in reasons.items()}
-    unused = [*unused_names("station", table.station, why), *unused_names("target", table.target, why)]
+    unused = [
+        *unused_names(Message("station"), table.station, why),
+        *unused_names(Message("target"), table.target, why),
+    ]
     used = replace(table.select(keep), set_aside=notes)
     return replace(used, notices=(*used.notices, *unused, *missing_rounds(used.target, used.round, used.positions)))
 

@@ -649,13 +649,11 @@ class _Check:
 
     def control(self, entry: ControlEntry) -> ControlSection:
         folder = self.path.parent
-        return ControlSection(
-            entry.errors_are,
-            *(
-                tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in listed)
-                for listed in (entry.tables, entry.kinematics, entry.live)
-            ),
+        tables, kinematics, live = (
+            tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in listed)
+            for listed in (entry.tables, entry.kinematics, entry.live)
         )
+        return ControlSection(entry.errors_are, tables, kinematics, live, entry.tool_length_mm)
 
     def joint(self, entry: CovarianceEntry, calibration: Calibration) -> Covariance:
         known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]

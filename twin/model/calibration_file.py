@@ -273,6 +273,7 @@ class ControlEntry(FileEntry):
     tables: tuple[TableFileEntry, ...] = ()
     kinematics: Annotated[tuple[TableFileEntry, ...], Field(max_length=1)] = ()
     live: tuple[TableFileEntry, ...] = ()
+    tool_length_mm: Annotated[float, Field(ge=0.0, lt=1e4)] | None = None  # for which tables and kinematics were made
 
     @model_validator(mode="after")
     def _not_empty(self) -> ControlEntry:

@@ -50,7 +50,7 @@ class MachineLog(Result):
     time_s: np.ndarray
     temperature_degC: Mapping[str, np.ndarray]
     speed_rpm: np.ndarray | None
-    notices: tuple[str, ...] = ()
+    notices: tuple[Message, ...] = ()
 
     @staticmethod
     def load(path: str | Path) -> MachineLog:

@@ -171,7 +171,7 @@ def _without_missing_channels(
     return [side.where(lambda name: name not in absent) for side, _ in limited], tuple(dict.fromkeys(needs))
 
 
-def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration, Calibration, str, set[str]]:
+def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration, Calibration, Message, set[str]]:
     """Return both calibrations in mean lines, or unchanged if one cannot be converted; a sentence about it; errors new to both.
 
     If neither is in mean lines, only errors that one of them contains may change: constants and slopes that only another error could
@@ -207,7 +207,7 @@ def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration,
     return one, two, text, set(only)
 
 
-def _check_tables(first: Calibration, second: Calibration) -> list[str]:
+def _check_tables(first: Calibration, second: Calibration) -> list[Message]:
     """Return notices on the control's tables; `InputError` if these make the calibrations not comparable: not in both, or different."""
     for name, side in (("first", first), ("second", second)):
         require_type(name, side, Calibration)
@@ -413,8 +413,8 @@ def _shape_of(pair: Pair, change: np.ndarray, *, linear: bool) -> str:
 
 def _notices(
     first: Calibration, second: Calibration, pairs: Sequence[Pair], not_compared: Sequence[NotCompared]
-) -> list[str]:
-    notices = list[str]()
+) -> list[Message]:
+    notices = list[Message]()
     drawn = [name for side in (first, second) for name, curve in side.curves.items() if curve.illustrative]
     if drawn:
         notices.append(

@@ -69,7 +69,7 @@ class Changes(DisplayedResult):
     tool: ToolChange
     tolerance_mm: float | None  # largest error at the tool that the older calibration may leave; None if not given
     left_out: tuple[tuple[str, str], ...]  # effects not included at the tool, with the channels they need
-    notices: tuple[str, ...]  # assumptions and limits
+    notices: tuple[Message, ...]  # assumptions and limits
     meaning: tuple[str, ...] = ()  # in sentences
     warnings: tuple[SourceWarning, ...] = ()  # on the origin of the numbers of either
 

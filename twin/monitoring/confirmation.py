@@ -71,7 +71,11 @@ UNSEEN: Final = 0.01
 """Share of the prior variance from which the readings do not determine a change."""
 CARRIED: Final = 0.1
 FUNCTIONS: Final = 6  # of each error motion, where no calibration is given
-ACTIVE: Final = (
+AT_THE_NOSE: Final = Message(
+    "no tool length is given or stated with the tables, so the figures hold at the spindle nose (0 mm): angular errors act with the "
+    "length of the tool"
+)
+ACTIVE: Final = Message(
     "kinematics act in tool centre point mode only: measure AFTER with the transformation active, at the programmed points for which "
     "the nominal kinematics give the axis positions of the table"
 )
@@ -95,7 +99,7 @@ def confirm(
         calibration: the errors of the machine without the written values, with their covariance; None: plausible errors. Corrections
             of its control are taken as active.
         written: what was written (`twin.written_values`).
-        tool_length_mm: length of the tool for the bound at the tool.
+        tool_length_mm: length of the tool for the figures at the tool; None: that of the machine file.
 
     Raises:
         InputError: neither readings before nor a calibration; written values without a calibration; readings that disagree with the
@@ -138,12 +142,7 @@ def confirm(
             for i, name in enumerate(machine.names)
         }
         notices = [text for _, said in found for text in said] + said_of_control
-        if any(value.name.startswith("kinematics") for value in written):
-            notices.append(ACTIVE)
-        if calibration is not None and not known:
-            notices.append(
-                "the calibration gives no uncertainty: its errors are uncertain by their plausible sizes, and no figures are given"
-            )
+        notices += _limits(written, tool_length_mm, length, unknown_u=calibration is not None and not known)
         return task.confirmation(
             box,
             np.sqrt(variance),
@@ -153,12 +152,30 @@ def confirm(
         )
 
 
-def _errors_now(machine: Machine, calibration: Calibration | None) -> tuple[Calibration, list[str]]:
+def _limits(
+    written: Sequence[WrittenValue], given_mm: float | None, length_mm: float, *, unknown_u: bool
+) -> list[Message]:
+    """Return what limits the figures; ``given_mm``: the tool length that was asked for; ``unknown_u``: errors without one."""
+    limits = [ACTIVE] if any(value.name.startswith("kinematics") for value in written) else []
+    if given_mm is None and length_mm == 0.0:
+        limits.append(AT_THE_NOSE)
+    if unknown_u:
+        limits.append(
+            Message(
+                "the calibration gives no uncertainty: its errors are uncertain by their plausible sizes, and no figures are given"
+            )
+        )
+    return limits
+
+
+def _errors_now(machine: Machine, calibration: Calibration | None) -> tuple[Calibration, list[Message]]:
     """Return the errors as the control leaves them, and a notice on its corrections."""
     if calibration is None or calibration.control is None:
         return Calibration.zero(machine) if calibration is None else calibration, []
     errors = errors_while_on(calibration) if calibration.corrected_in_control else calibration
-    return errors, ["the corrections of the control that the calibration lists are taken as active in these readings"]
+    return errors, [
+        Message("the corrections of the control that the calibration lists are taken as active in these readings")
+    ]
 
 
 def _plausible_errors(machine: Machine, tables: Sequence[Measurements]) -> Unknowns:
@@ -176,7 +193,7 @@ def _linearised(
     unknowns: Unknowns,
     written: Sequence[WrittenValue],
     prior: Unknowns | None,
-) -> tuple[LinearReadings, list[str]]:
+) -> tuple[LinearReadings, list[Message]]:
     """Return the linear model of a table, and what to know of its rows and its noise."""
     placed = prepared(machine, table, written)
     noise = reading_noise(machine, placed, "stated", named=False)
@@ -192,10 +209,10 @@ def _linearised(
     said = [
         *placed.data.notices,
         *noise.notices,
-        *(f"set aside, {text}" for text in grouped_notes(placed.data.set_aside)),
+        *(Message("set aside, {text}", text=text) for text in grouped_notes(placed.data.set_aside)),
     ]
     return linear_readings(network(unknowns), solution.setup, errors, written, prior), [
-        f"{name}{text}" for text in said
+        Message("{file}{text}", file=name, text=text) for text in said
     ]
 
 
@@ -221,7 +238,7 @@ class _Task:
         box: Mapping[str, tuple[float, float]],
         noise: float,
         readings: int,
-        notices: tuple[str, ...],
+        notices: tuple[Message, ...],
         warnings: tuple[SourceWarning, ...],
     ) -> Confirmation:
         """Return the verdict with everything that belongs to it."""

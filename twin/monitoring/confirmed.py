@@ -138,7 +138,7 @@ class Confirmation(Result):
     p_value: float
     noise: float
     readings: int
-    notices: tuple[str, ...]
+    notices: tuple[Message, ...]
     warnings: tuple[SourceWarning, ...]
 
     @property

@@ -94,7 +94,7 @@ def written_values(
         folder: folder that `twin control` wrote.
         adjusted: new value of each squareness or location that was adjusted, µrad or µm.
         compensated: whether a program compensated with the calibration was run.
-        tool_length_mm: length of the active tool; None: that of the machine file.
+        tool_length_mm: length of the active tool; None: that of the folder's tables, else that of the machine file.
 
     Raises:
         InputError: no calibration where one is needed; an invalid folder; an error that cannot be adjusted.
@@ -105,8 +105,8 @@ def written_values(
         >>> [value.name for value in values][:2]
         ["program's words of X", "program's words of Y"]
     """
-    length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     written = None if folder is None else Calibration.load(Path(folder) / "calibration.yaml", machine)
+    length = active_tool_mm(machine, written, tool_length_mm)
     errors = written if calibration is None else calibration
     values = () if written is None else written_by(written, length)
     if written is not None and errors is not None:
@@ -123,6 +123,12 @@ def written_values(
             raise InputError("no calibration", expected="the calibration that the program was compensated with")
         values = (*values, *program_words(errors, length))
     return errors, (*values, *(adjustment(errors, machine, name, to) for name, to in adjusted.items()))
+
+
+def active_tool_mm(machine: Machine, written: Calibration | None, given_mm: float | None) -> float:
+    """Return the tool length: that given, else that for which the control's tables were made, else that of the machine file."""
+    stated = None if written is None or written.control is None else written.control.tool_length_mm
+    return next(length for length in (given_mm, stated, machine.tool_length_mm) if length is not None)
 
 
 def written_by(calibration: Calibration, tool_length_mm: float) -> tuple[WrittenValue, ...]:

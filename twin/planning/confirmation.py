@@ -14,6 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.messages import Message, joined
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import UM
 from twin.display.numbers import listed
@@ -38,6 +39,7 @@ from twin.planning.separate import LAMBDA
 from twin.planning.sequences.contacts import reach
 from twin.planning.sequences.moves import grid, ordered
 from twin.planning.sequences.specification import (
+    CONTACTS,
     SET_UPS,
     InstrumentSizes,
     MeasuringSequence,
@@ -69,11 +71,11 @@ BEYOND: Final = 1e-2
 CONFIRM: Final = "whether every table and value of the kinematics is in effect, with its sign"
 PROBED: Final = MeasuringSequence(
     name="confirm",
-    title="the fewest poses that show what was written",
-    source="exchange (Fedorov 1972) over a grid of the rotary axes",
+    title=Message("the fewest poses that show what was written"),
+    source=Message("exchange (Fedorov 1972) over a grid of the rotary axes"),
     instruments=("probe",),
-    unverified="",
-    limits="Three or more mistakes that compensate each other in these poses are not seen.",
+    unverified=Message(""),
+    limits=Message("Three or more mistakes that compensate each other in these poses are not seen."),
     make=grid,
 )
 
@@ -144,7 +146,12 @@ class ConfirmationPlan(Result):
     def brief(self) -> str:
         """Duration, and what is shown."""
         lacking = len(self.hidden) + sum(u > SHOWN_U for u in self.u.values())
-        return f"plan to confirm {len(self.u) + len(self.hidden)} written values in {self.minutes:.0f} min: {lacking} not shown"
+        return Message(
+            "plan to confirm {count} written values in {minutes:.0f} min: {lacking} not shown",
+            count=len(self.u) + len(self.hidden),
+            minutes=self.minutes,
+            lacking=lacking,
+        )
 
     @property
     def minutes(self) -> float:
@@ -155,38 +162,81 @@ class ConfirmationPlan(Result):
         """Return the text lines: how well each written value is shown, and by which minute."""
         lines = [
             "",
-            f"{self.minutes:.0f} minutes in all{self._twice_words()}. What each minute shows, set-up included:",
+            *self._contact_words(),
+            Message(
+                "{minutes:.0f} minutes in all{twice}. What each minute shows, set-up included:",
+                minutes=self.minutes,
+                twice=self._twice_words(),
+            ),
         ]
-        lines += [f"  by minute {minute:.0f}: {', '.join(names)}" for minute, names in self.steps]
         lines += [
-            f"  not at this duration: {name} ({u:.2f}, needed {SHOWN_U:.2f})"
+            Message("  by minute {minute:.0f}: {names}", minute=minute, names=", ".join(names))
+            for minute, names in self.steps
+        ]
+        lines += [
+            Message("  not at this duration: {name} ({u:.2f}, needed {needed:.2f})", name=name, u=u, needed=SHOWN_U)
             for name, u in self.u.items()
             if u > SHOWN_U
         ]
         lines.append(
-            "shown: absent and reversed are excluded, by one mistake or two. Noise relative to the least distinct of these mistakes: "
-            + ", ".join(f"{name} {u:.2f}" for name, u in self.u.items())
+            Message(
+                "shown: absent and reversed are excluded, by one mistake or two. Noise relative to the least distinct of these "
+                "mistakes: {values}",
+                values=joined(", ", [Message("{name} {u:.2f}", name=name, u=u) for name, u in self.u.items()]),
+            )
         )
         if self.hidden:
-            cure = "plan with other places of the spheres (higher, nearer the rim, two of them), or with a kit"
-            lines.append(f"NOT SHOWN by any reading with this equipment: {', '.join(self.hidden)}; {cure}")
+            cure = Message("plan with other places of the spheres (higher, nearer the rim, two of them), or with a kit")
+            lines.append(
+                Message(
+                    "NOT SHOWN by any reading with this equipment: {names}; {cure}",
+                    names=", ".join(self.hidden),
+                    cure=cure,
+                )
+            )
         if self.twice:
             lines.append(
-                f"MEASURE THIS PLAN TWICE, before and after the values are switched on: {listed(list(self.twice))} cannot be seen "
-                "against the uncertainty of the calibration. Then: twin confirm BEFORE.csv AFTER.csv --written FOLDER"
+                Message(
+                    "MEASURE THIS PLAN TWICE, before and after the values are switched on: {names} cannot be seen against the "
+                    "uncertainty of the calibration. Then: twin confirm BEFORE.csv AFTER.csv --written FOLDER",
+                    names=listed(list(self.twice)),
+                )
             )
             lines.append(
-                f"measured afterwards only, against the calibration, it shows: {listed(list(self.alone)) or 'nothing'}"
+                Message(
+                    "measured afterwards only, against the calibration, it shows: {names}",
+                    names=listed(list(self.alone)) or Message("nothing"),
+                )
             )
-        lines += [f"compared: {text}" for text in self.others]
+        lines += [Message("compared: {text}", text=text) for text in self.others]
         if any(name.startswith("kinematics") for name in (*self.u, *self.hidden)):
-            lines.append(f"note: {ACTIVE}")
+            lines.append(Message("note: {notice}", notice=ACTIVE))
         return lines
+
+    def _contact_words(self) -> list[Message]:
+        """Return what takes the time of a probe."""
+        if not isinstance(self.plan, SequencePlan):
+            return []
+        contact = self.plan.task.kit.seconds.contact
+        return [
+            Message(
+                "contacts take {minutes:.0f} minutes of each measurement: {poses} poses, {count} a pose, {seconds:g} s each. If your "
+                "probing cycle is quicker, state it in a kit (seconds: contact)",
+                minutes=len(self.plan.table) * CONTACTS * contact / 60.0,
+                poses=len(self.plan.table),
+                count=CONTACTS,
+                seconds=contact,
+            )
+        ]
 
     def _twice_words(self) -> str:
         if not self.twice:
             return ""
-        return f": set-up {self.set_up:.0f}, and {self.plan.minutes - self.set_up:.0f} before and after"
+        return Message(
+            ": set-up {set_up:.0f}, and {each:.0f} before and after",
+            set_up=self.set_up,
+            each=self.plan.minutes - self.set_up,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object (``schema: twin.plan/1``)."""
@@ -345,8 +395,13 @@ def plan_confirmation(  # noqa: PLR0913
         raise failed[0]
     best = min(found, key=lambda one: (len(one.hidden), not one.shown, one.minutes))
     others = tuple(
-        f"{one.plan.brief}{' twice' if one.twice else ''}: {one.minutes:.0f} minutes in all"
-        f"{f', does not show {listed(list(one.hidden))}' if one.hidden else ''}"
+        Message(
+            "{plan}{twice}: {minutes:.0f} minutes in all{hidden}",
+            plan=one.plan.brief,
+            twice=Message(" twice") if one.twice else "",
+            minutes=one.minutes,
+            hidden=Message(", does not show {names}", names=listed(list(one.hidden))) if one.hidden else "",
+        )
         for one in found
         if one is not best
     )

@@ -22,10 +22,9 @@ from twin.machine.machine import Axis, Machine
 from twin.measurement.columns import comment_lines, csv_text, number_cells
 from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
-from twin.planning.kit import Kit
+from twin.planning.kit import CONTACT_S, Kit
 from twin.planning.sequences.contacts import default_place, reach
 from twin.planning.sequences.specification import (
-    CONTACT_S,
     CONTACTS,
     POINT_S,
     RETRACT_MM,

@@ -57,6 +57,8 @@ DISTANCE_MM: Final = 2000.0
 """Distance of a default station from the middle of the working volume, mm."""
 TRAVEL_MM_S: Final = 100.0
 TRAVEL_DEG_S: Final = 15.0
+CONTACT_S: Final = 6.0
+"""Seconds for one contact of a touch probe: approach, touch and retraction."""
 
 
 class _KitEntries(BaseModel):
@@ -72,6 +74,7 @@ class Seconds(_KitEntries):
     aim: Annotated[float, Field(ge=0)] = 20.0
     target: Annotated[float, Field(ge=0)] = 30.0  # changing from one reflector to another
     station: Annotated[float, Field(ge=0)] = 900.0  # setting the instrument up in another place
+    contact: Annotated[float, Field(gt=0)] = CONTACT_S  # one contact of a touch probe: approach, touch and retraction
 
 
 class _StationEntry(_KitEntries):

@@ -11,6 +11,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.messages import Message, joined, say
 from twin._common.resources import one_blas_thread
 from twin._common.units import count_with_noun
 from twin.display.results import Result
@@ -34,7 +35,7 @@ from twin.planning.sequences.specification import (
 SCHEMA: Final = "twin.plan/1"
 MINUTES: Final = 60.0
 """Time budget of a sequence that is chosen by the time."""
-BEST_COLUMN: Final = "best, nothing known"
+BEST_COLUMN: Final = Message("best, nothing known")
 MOST_MINUTES: Final = 24.0 * 60.0
 
 
@@ -54,7 +55,7 @@ class SequencePlan(Result):
     task: SequenceTask
     sequence: MeasuringSequence
     table: Measurements
-    dropped: Mapping[str, int]
+    dropped: Mapping[Message, int]
     expected: Expectation
     best: Expectation | None
 
@@ -68,30 +69,49 @@ class SequencePlan(Result):
         """Duration in minutes, set-up included."""
         return minutes_of(self.machine, self.task.kit, self.table)
 
-    def notices(self) -> list[str]:
+    def notices(self) -> list[Message]:
         """Return what to know before carrying it out."""
-        parts = ", ".join(f"{name} at {x:g}, {y:g}, {z:g}" for name, (x, y, z) in self.task.places_mm.items())
+        parts = "; ".join(f"{name} ({x:g}, {y:g}, {z:g})" for name, (x, y, z) in self.task.places_mm.items())
         notices = [
-            f"parts on the table (work frame, mm): {parts}; the {self.task.words.tip} is {-self.task.tip_mm[2]:g} mm "
-            "below the spindle nose",
-            "planned_… are approximate places, which no evaluation treats as known",
-            "poses are checked against the shapes of the URDF, with an assumed probe, stylus and stem; the moves between them are not",
+            Message(
+                "parts on the table (work frame, mm): {parts}; the {tip} is {depth:g} mm below the spindle nose",
+                parts=parts,
+                tip=self.task.words.tip,
+                depth=-self.task.tip_mm[2],
+            ),
+            Message("planned_… are approximate places, which no evaluation treats as known"),
+            Message(
+                "poses are checked against the shapes of the URDF, with an assumed probe, stylus and stem; the moves "
+                "between them are not"
+            ),
         ]
         unused = [name for name in self.task.places_mm if name not in {*self.table.station, *self.table.target}]
         if unused:
             notices.append(
-                f"NOT MEASURED: {', '.join(unused)}: no time for setting up, or no point of theirs is within reach"
+                Message(
+                    "NOT MEASURED: {names}: no time for setting up, or no point of theirs is within reach",
+                    names=", ".join(unused),
+                )
             )
         if self.task.instrument.specification.reads == "null":
             notices.append(
-                "X, Y and Z are nominal: the measured table has the positions at which the tip was at the centre of the sphere, "
-                "and 0 in x_mm, y_mm and z_mm"
+                Message(
+                    "X, Y and Z are nominal: the measured table has the positions at which the tip was at the centre of the "
+                    "sphere, and 0 in x_mm, y_mm and z_mm"
+                )
             )
         if self.dropped:
             notices.append(
-                "points out of reach: " + ", ".join(f"{count} ({why})" for why, count in self.dropped.items())
+                Message(
+                    "points out of reach: {reasons}",
+                    reasons=joined(
+                        ", ", [Message("{count} ({why})", count=count, why=why) for why, count in self.dropped.items()]
+                    ),
+                )
             )
-        notices.append("the uncertainties hold where linear errors are the only ones that depend on the position")
+        notices.append(
+            Message("the uncertainties hold where linear errors are the only ones that depend on the position")
+        )
         notices += [text for text in (self.sequence.unverified, self.sequence.limits) if text]
         return notices
 
@@ -113,13 +133,13 @@ class SequencePlan(Result):
         others = {} if self.best is None else {BEST_COLUMN: self.best.unknown.u}
         lines = [
             self.brief,
-            f"{self.sequence.title}; {self.sequence.source}",
+            Message("{title}; {source}", title=self.sequence.title, source=self.sequence.source),
             "",
             *self.expected.lines(others),
             "",
-            *(f"note: {text}" for text in self.notices()),
+            *(Message("note: {text}", text=text) for text in self.notices()),
         ]
-        return "\n".join(lines) + "\n"
+        return "\n".join(map(say, lines)) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object (``schema: twin.plan/1``)."""
@@ -140,11 +160,16 @@ class SequencePlan(Result):
         }
 
     @property
-    def brief(self) -> str:
+    def brief(self) -> Message:
         """Sequence, instrument, number of poses and duration."""
-        with_what = f"{self.sequence.name} with {self.task.instrument.specification.title}"
-        poses = count_with_noun(len(self.table), "pose")
-        return f"{self.machine.name}: sequence {with_what}, {poses}, {self.minutes:.0f} minutes"
+        return Message(
+            "{machine}: sequence {name} with {instrument}, {count:,} poses, {minutes:.0f} minutes",
+            machine=self.machine.name,
+            name=self.sequence.name,
+            instrument=self.task.instrument.specification.title,
+            count=len(self.table),
+            minutes=self.minutes,
+        )
 
 
 def measuring_sequence(

@@ -13,6 +13,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message, joined, say
 from twin._common.provenance import SourceWarning, warning_texts
 from twin._common.records import json_form
 from twin._common.resources import Progress, one_blas_thread, silent
@@ -144,24 +145,42 @@ class Forecast(Result):
         over = self.at_tool
         where = ", ".join(f"{name} {round(value)}" for name, value in over.where.items())
         lines = [
-            f"tool point, tool length {self.tool_length_mm:g} mm: U {over.rms_um:.2f} µm RMS over the volume, "
-            f"{over.max_um:.2f} µm largest (at {where}); {DEFINITION}",
+            Message(
+                "tool point, tool length {length:g} mm: U {rms:.2f} µm RMS over the volume, {largest:.2f} µm largest (at "
+                "{where}); {definition}",
+                length=self.tool_length_mm,
+                rms=over.rms_um,
+                largest=over.max_um,
+                where=where,
+                definition=DEFINITION,
+            ),
             "",
-            f"errors, standard uncertainty (k = 1; for a curve the largest over its range) from {self.readings} coordinates read:",
+            Message(
+                "errors, standard uncertainty (k = 1; for a curve the largest over its range) from {count} coordinates "
+                "read:",
+                count=self.readings,
+            ),
         ]
-        lines += [f"  {', '.join(found)}" for found in self._by_axis(".2f").values()] or ["  no error is determined"]
+        lines += [f"  {', '.join(found)}" for found in self._by_axis(".2f").values()] or [
+            Message("  no error is determined")
+        ]
         lines += [
             "",
-            "observability of the machine's unknowns in units of their plausible sizes (Sun and Hollerbach 2008; larger is better):",
+            Message(
+                "observability of the machine's unknowns in units of their plausible sizes (Sun and Hollerbach 2008; "
+                "larger is better):"
+            ),
             f"  O1 {o.o1:.3g}, O2 {o.o2:.3g}, O3 {o.o3:.3g}, O4 {o.o4:.3g}, O5 {o.o5:.3g}",
         ]
         if self.hidden:
             lines += [
                 "",
-                "not identifiable from these readings; combinations with other unknowns that leave all readings unchanged:",
+                Message(
+                    "not identifiable from these readings; combinations with other unknowns that leave all readings unchanged:"
+                ),
             ]
             lines += [f"  {one.name}: {one.reason}" for one in self.hidden]
-        return "\n".join(lines) + "\n"
+        return "\n".join(map(say, lines)) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object."""
@@ -225,11 +244,11 @@ ODDS: Final = 100
 """Odds below which `twin diagnose` reports two causes as equivalent."""
 SPENT: Final = MappingProxyType(
     {
-        "station": "set-up",
-        "target": "changing targets",
-        "aim": "turning reflectors",
-        "travel": "travel",
-        "point": "readings",
+        "station": Message("set-up"),
+        "target": Message("changing targets"),
+        "aim": Message("turning reflectors"),
+        "travel": Message("travel"),
+        "point": Message("readings"),
     }
 )
 """Operations that take time (`Route.spent`), as displayed."""
@@ -364,26 +383,46 @@ class Plan(DisplayedResult):
         """Whether every pose can be reached by a straight move with clearance from the one before."""
         return not self.route.blocked
 
-    def notices(self) -> list[str]:
+    def notices(self) -> list[Message]:
         """Return the instructions for carrying out the plan."""
         notices = [
-            "approach_… is the direction of approach of each axis: overrun the position by more than the reversal value and return",
-            "planned_… are approximate positions, which no evaluation treats as known; place_… and station_… count as exactly known",
+            Message(
+                "approach_… is the direction of approach of each axis: overrun the position by more than the reversal "
+                "value and return"
+            ),
+            Message(
+                "planned_… are approximate positions, which no evaluation treats as known; place_… and station_… count as "
+                "exactly known"
+            ),
         ]
         if Clearance(self.machine, self.kit).has_shapes:
             notices.append(
-                "poses and straight moves keep the tool side clear of the work side for the shapes in the URDF and the reflectors. "
-                "Holders, clamps and workpiece are not checked: make a dry run first"
+                Message(
+                    "poses and straight moves keep the tool side clear of the work side for the shapes in the URDF and the "
+                    "reflectors. Holders, clamps and workpiece are not checked: make a dry run first"
+                )
             )
         else:
             notices.append(
-                "THE URDF HAS NO SHAPES: only the reflectors are kept clear of each other. Check every pose and every move"
+                Message(
+                    "THE URDF HAS NO SHAPES: only the reflectors are kept clear of each other. Check every pose and every move"
+                )
             )
-        notices += [f"before reading {row + 1}: {words}" for row, words in self.route.sessions]
+        notices += [
+            Message("before reading {row}: {words}", row=row + 1, words=words) for row, words in self.route.sessions
+        ]
         if self.route.blocked:
             rows = ", ".join(str(row + 1) for row in self.route.blocked[:20])
-            more = f" and {len(self.route.blocked) - 20} more" if len(self.route.blocked) > 20 else ""
-            notices.append(f"RETRACT before readings {rows}{more}: the straight move to them has too little clearance")
+            more = (
+                Message(" and {count} more", count=len(self.route.blocked) - 20) if len(self.route.blocked) > 20 else ""
+            )
+            notices.append(
+                Message(
+                    "RETRACT before readings {rows}{more}: the straight move to them has too little clearance",
+                    rows=rows,
+                    more=more,
+                )
+            )
         return notices
 
     def save(self, path: str | Path) -> None:
@@ -396,11 +435,18 @@ class Plan(DisplayedResult):
         lines = [
             f"plan by twin: {self.machine.name}, {count_with_noun(len(self.table), 'reading')} with {self.instrument.name}, "
             f"{self.minutes:.0f} minutes, aim: {self.aim}, seed {self.seed}",
-            f"kit: {self.kit.source}",
-            ", ".join(f"{words} {self.route.spent[key] / 60:.0f} min" for key, words in SPENT.items()),
+            *self._costs(),
             *self.notices(),
         ]
         return "\n".join(lines)
+
+    def _costs(self) -> list[Message]:
+        """Return the kit, and what takes how long."""
+        spent = [
+            Message("{words} {minutes:.0f} min", words=words, minutes=self.route.spent[key] / 60)
+            for key, words in SPENT.items()
+        ]
+        return [Message("kit: {source}", source=self.kit.source), joined(", ", spent)]
 
     @property
     def brief(self) -> str:
@@ -443,27 +489,40 @@ class Plan(DisplayedResult):
     def to_text(self) -> str:
         """Return the text report."""
         lines = [
-            f"{self.machine.name}: {count_with_noun(len(self.table), 'reading')} with {self.instrument.name} "
-            f"from {', '.join(self.stations)}, {self.minutes:.0f} minutes",
-            *self.comment().splitlines()[1:3],
-            *(f"expected errors: {text}" for text in warning_texts(self.warnings)),
+            Message(
+                "{machine}: {count:,} readings with {instrument} from {stations}, {minutes:.0f} minutes",
+                machine=self.machine.name,
+                count=len(self.table),
+                instrument=self.instrument.name,
+                stations=", ".join(self.stations),
+                minutes=self.minutes,
+            ),
+            *self._costs(),
+            *(Message("expected errors: {text}", text=text) for text in warning_texts(self.warnings)),
             "",
             *([] if self.separation is None else [*self.separation.lines(), ""]),
             *([] if self.forecast is None else [*self.forecast.to_text().splitlines(), ""]),
-            "stations compared (after a first choice of readings):",
+            Message("stations compared (after a first choice of readings):"),
         ]
         for alternative in self.alternatives[:SHOWN]:
             chosen = (
-                "  <- chosen"
+                Message("  <- chosen")
                 if (alternative.instrument, alternative.stations) == (self.instrument.name, self.stations)
                 else ""
             )
             lines.append(
-                f"  {alternative.instrument} at {', '.join(alternative.stations)}: {alternative.points} readings, "
-                f"{alternative.value:.3g} {alternative.unit}{chosen}"
+                Message(
+                    "  {instrument} at {stations}: {count} readings, {value:.3g} {unit}{chosen}",
+                    instrument=alternative.instrument,
+                    stations=", ".join(alternative.stations),
+                    count=alternative.points,
+                    value=alternative.value,
+                    unit=alternative.unit,
+                    chosen=chosen,
+                )
             )
-        lines += ["", *(f"note: {notice}" for notice in self.notices())]
-        return "\n".join(lines) + "\n"
+        lines += ["", *(Message("note: {notice}", notice=notice) for notice in self.notices())]
+        return "\n".join(map(say, lines)) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object (``schema: twin.plan/1``)."""

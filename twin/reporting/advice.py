@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from math import hypot, isfinite
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
@@ -108,7 +108,7 @@ def advise(
     ]
     live = calibration.corrected_in_control
     return MachineAdvice(
-        _headline(found, outcome, live=live),
+        _headline(outcome, live=live),
         "well" if found.total.max_um <= SMALL_UM else "unknown" if live else "wrong",
         tuple(
             Message(
@@ -142,16 +142,16 @@ def _corrections(
         yield Step("never", Message("Compensate or adjust with this calibration"), text)
     else:
         yield from _one_of(
-            _kinematics(calibration, found),
+            _kinematics(calibration, found, outcome),
             _compensate(calibration, found, outcome),
-            _tables(found, tables),
+            _tables(found, tables, outcome),
             _adjust(found),
         )
 
 
 def _module(calibration: Calibration, found: Budget, outcome: CompensationForecast) -> Iterator[Step]:
     """Yield the steps for errors that a kinematics module in the control corrects already."""
-    sizes = {"rms": figure(found.total.rms_um, "µm"), "largest": figure(found.total.max_um, "µm")}
+    sizes = {"rms": figure(outcome.start.rms_um, "µm"), "largest": figure(outcome.start.max_um, "µm")}
     texts = [
         Message(
             "A kinematics module in the control corrects these errors while it is switched on. With it switched off the error is {rms} "
@@ -189,9 +189,9 @@ def _module(calibration: Calibration, found: Budget, outcome: CompensationForeca
     yield Step("never", Message("Compensate programs or write tables beside the module"), text)
 
 
-def _headline(found: Budget, outcome: CompensationForecast, *, live: bool) -> str:
+def _headline(outcome: CompensationForecast, *, live: bool) -> str:
     """Return the error at the tool, and which errors it does not contain; ``live``: a module in the control corrects it."""
-    sizes = {"rms": figure(found.total.rms_um, "µm"), "largest": figure(found.total.max_um, "µm")}
+    sizes = {"rms": figure(outcome.start.rms_um, "µm"), "largest": figure(outcome.start.max_um, "µm")}
     if live:
         return Message(
             "With the correction in the control switched off, the error at the tool point is {rms} RMS over the working volume and up "
@@ -332,8 +332,8 @@ def _control(calibration: Calibration, outcome: CompensationForecast) -> Iterato
             compensated = Message(
                 "The tables ({names}) compensate a part of the errors and reduce the error at the tool from {without} to {rms} RMS.",
                 names=names,
-                without=figure(without_tables.rms_um, "µm"),
-                rms=figure(outcome.before.rms_um, "µm"),
+                without=figure(outcome.with_u(without_tables.rms_um), "µm"),
+                rms=figure(outcome.start.rms_um, "µm"),
             )
             texts = [compensated, active]
     short = Message("All figures are with them.") if control.errors_are != "remaining" else texts[0]
@@ -347,7 +347,7 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
         return
     if found.total.rms_um <= 0.0:
         return
-    start, exact = (figure(level.rms_um, "µm") for level in (outcome.before, outcome.exact))
+    start, exact = (figure(level.rms_um, "µm") for level in (outcome.start, outcome.exact))
     if outcome.judged is not None and outcome.judged.rms_um >= outcome.before.rms_um:
         text = Message(
             "Its uncertainty is too large: the expected RMS error would change from {start} to {expected}. Measure more first.",
@@ -368,8 +368,6 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
         )
     else:
         known |= {"rms": figure(outcome.judged.rms_um, "µm"), "within": figure(outcome.judged.quantile(0.95), "µm")}
-        if outcome.expected_before is not None:  # before and after have one meaning, as on the first page
-            known["start"] = figure(outcome.expected_before.rms_um, "µm")
         texts.append(
             Message(
                 "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to {rms}, including the "
@@ -429,7 +427,7 @@ def _options(found: Budget, calibration: Calibration) -> str:
     return f"{_about(calibration)}{tool}{' --temperature' if warm else ''}{warm}{held}"
 
 
-def _kinematics(calibration: Calibration, found: Budget) -> Iterator[Step]:
+def _kinematics(calibration: Calibration, found: Budget, outcome: CompensationForecast) -> Iterator[Step]:
     """Yield the entry of the rotary axes' locations in the control's kinematics, if they matter and the control can hold them."""
     if not has_table_kinematics(found.kinematics.machine) or (calibration.control and calibration.control.kinematics):
         return
@@ -438,7 +436,7 @@ def _kinematics(calibration: Calibration, found: Budget) -> Iterator[Step]:
     rest = found.rms_without_um(*(error.name for error in names)) if significant else found.total.rms_um
     if found.total.rms_um - rest < WORTH * found.total.rms_um:
         return
-    sizes = {"start": figure(found.total.rms_um, "µm"), "rest": figure(rest, "µm")}
+    sizes = {"start": figure(outcome.start.rms_um, "µm"), "rest": figure(outcome.with_u(rest), "µm")}
     texts = [
         Message(
             "{names}: the kinematics of tool centre point mode hold these values. RMS error at the tool in that mode: {start} "
@@ -523,7 +521,7 @@ def _adjust(found: Budget) -> Iterator[Step]:
         yield Step("measure", Message("Measure before any adjustment"), text)
 
 
-def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
+def _tables(found: Budget, tables: Sequence[TablesLeft], outcome: CompensationForecast) -> Iterator[Step]:
     """Yield the compensation by tables in the control, computed as by `twin control`."""
     if not tables:
         return
@@ -539,14 +537,13 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
         "They compensate {names} for all programs. RMS error at the tool: {rms} without tables; {remaining}. Valid for tool length "
         "{length:g} mm and the other axes at {where}.",
         names=listed(names),
-        rms=figure(best.remains.before.rms_um, "µm"),
-        remaining=joined("; ", [_remaining(table) for table in tables]),
+        rms=figure(outcome.with_u(best.remains.before.rms_um), "µm"),
+        remaining=joined("; ", [_remaining(table, outcome) for table in tables]),
         length=best.tool_length_mm,
         where=Number(where),
     )
     tables_left = best.remains.tables
-    known = best.remains.uncertainty.identified_standard_rms_um
-    larger = isfinite(known) and hypot(tables_left.rms_um, known) >= best.remains.before.rms_um
+    larger = outcome.with_u(tables_left.rms_um) >= best.remains.before.rms_um
     if best.remains.reduction >= WORTH and not larger:
         calibration = found.kinematics.calibration
         how = Message(
@@ -563,17 +560,13 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
         yield Step("never", Message("Rely on the control's axis tables alone"), text)
 
 
-def _remaining(one: TablesLeft) -> str:
-    """Return the remaining error with the tables of a format, for the model and with its uncertainty."""
-    remaining, u = one.remains.tables, one.remains.uncertainty
-    if not isfinite(u.identified_standard_rms_um):
+def _remaining(one: TablesLeft, outcome: CompensationForecast) -> str:
+    """Return the remaining error with the tables of a format, with the meaning of the error before."""
+    remaining = one.remains.tables
+    if outcome.expected_before is None:
         return Message("{kind} {rms} by the model, U unknown", kind=one.kind, rms=figure(remaining.rms_um, "µm"))
-    return Message(
-        "{kind} {rms} by the model, {expected} with uncertainty",
-        kind=one.kind,
-        rms=figure(remaining.rms_um, "µm"),
-        expected=expanded(hypot(remaining.rms_um, u.identified_standard_rms_um), complete=not u.least),
-    )
+    expected = expanded(outcome.with_u(remaining.rms_um), complete=not one.remains.uncertainty.least)
+    return Message("{kind} {rms}", kind=one.kind, rms=expected)
 
 
 def grouped_sentences(errors: Iterable[UnidentifiedEntry], what: Literal["why", "remedy"]) -> list[str]:

@@ -115,6 +115,15 @@ class CompensationForecast:
     seed: int
 
     @property
+    def start(self) -> ErrorDistribution:
+        """Error before compensation, as every page gives it: expected, as ``judged``; that of the model if U is unknown."""
+        return self.before if self.expected_before is None else self.expected_before
+
+    def with_u(self, rms_um: float) -> float:
+        """Return the expected RMS error, µm, of a state with an RMS error by the model: uncertainty adds the same variance to all."""
+        return float(np.sqrt(rms_um**2 + max(self.start.rms_um**2 - self.before.rms_um**2, 0.0)))
+
+    @property
     def judged(self) -> ErrorDistribution | None:
         """Expected error after compensation, without the errors that could not be determined, which are the same before and after."""
         return self.with_uncertainty if self.identified is None else self.identified
@@ -208,7 +217,7 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
         if alone.parameters:
             expected_before = judged.distribution(_BEFORE, found.error_um) if uncertainty.unknown else every
     return CompensationForecast(
-        before=ErrorDistribution(Message("uncompensated"), read_only(np.sort(before))),
+        before=ErrorDistribution(Message("uncompensated, by the model alone"), read_only(np.sort(before))),
         without_tables=without_tables,
         exact=exact,
         with_uncertainty=with_uncertainty,

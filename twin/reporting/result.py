@@ -192,7 +192,7 @@ class MachineReport(Result):
     @property
     def brief(self) -> str:
         """Error at the tool before compensation."""
-        before = self.compensation.before
+        before = self.compensation.start
         error = "no errors known"
         if before is not None:
             error = f"error at the tool {figure(before.rms_um, 'µm')} RMS, {figure(before.max_um, 'µm')} largest"

@@ -9,22 +9,18 @@ reading at each position are a rigid motion of the axis and a radial expansion o
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-import scipy
 
-from twin._common.arrays import read_only
 from twin._common.distributions import normal_isf
 from twin._common.errors import InputError, require_type
+from twin._common.messages import Message, Number, joined
 from twin._common.provenance import SIMULATED
-from twin._common.records import SPEED
-from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
-from twin.measurement.observation import nominal_carriers, of_angles
 from twin.measurement.table import Measurements
 from twin.standards.iso230_3 import (
     FIRST_S,
@@ -32,14 +28,14 @@ from twin.standards.iso230_3 import (
     DriftRecord,
     DriftSeries,
     SensorMap,
-    axis_design,
     drift_series,
     is_displacement_record,
     load_displacements,
+    relative_displacements,
     spread,
     turning_axis,
 )
-from twin.standards.readings import SAME_AS_MACHINE, NotPossible, reading_uncertainty_mm, rms_um
+from twin.standards.readings import NotPossible
 from twin.standards.result import (
     EvaluationResult,
     NotEvaluated,
@@ -56,15 +52,20 @@ RANK_TOLERANCE: Final = 1e-3
 """Singular value, relative to the largest, up to which the positions do not separate the quantities."""
 DIRECTIONS: Final = "XYZ"
 WORDS: Final = {
-    "axial": "shift of the carried side along {axis}",
-    "zero": "zero of {axis}",
-    "radial": "radial expansion of the side carried by {axis}",
+    "axial": partial(Message, "shift of the carried side along {axis}"),
+    "zero": partial(Message, "zero of {axis}"),
+    "radial": partial(Message, "radial expansion of the side carried by {axis}"),
 }
 REMARKS: Final = (
-    "the public scope of ISO 230-3:2020 names this test; positions, figures and signs are choices of twin, as is usual in R-tests of "
-    "thermal errors: the standard's text was not read",
-    "locations are those at the level of the sphere along the axis",
-    "locations and shifts contain drifts of the spindle and the linear axes; the zero contains a tangential shift of the sphere",
+    Message(
+        "the public scope of ISO 230-3:2020 names this test; positions, figures and signs are choices of twin, as "
+        "is usual in R-tests of thermal errors: the standard's text was not read"
+    ),
+    Message("locations are those at the level of the sphere along the axis"),
+    Message(
+        "locations and shifts contain drifts of the spindle and the linear axes; the zero contains a tangential "
+        "shift of the sphere"
+    ),
 )
 
 
@@ -72,19 +73,27 @@ def rotary_test(record: DriftRecord, rows: np.ndarray, standard: str) -> Standar
     """Evaluate the test of a moving rotary axis."""
     if record.design is None or any(name not in record.displacement for name in DIRECTIONS):
         raise NotPossible(
-            "a rotary axis moves: its test needs a measurement table of a touch probe or an R-test, with X, Y and Z at three or more "
-            "positions of the axis"
+            Message(
+                "a rotary axis moves: its test needs a measurement table of a touch probe or an R-test, with X, Y and Z at"
+                " three or more positions of the axis"
+            )
         )
     design = record.design.select(rows)
     pose = _poses(record, rows)
     if pose.max() + 1 < FEWEST_POSES:
-        raise NotPossible(f"{design.axis} was read at {pose.max() + 1} positions: three or more are needed")
+        raise NotPossible(
+            Message(
+                "{axis} was read at {count} positions: three or more are needed", axis=design.axis, count=pose.max() + 1
+            )
+        )
     values = np.stack([record.displacement[name][rows] for name in DIRECTIONS], axis=1)
     cycles = _cycles(pose)
     change, factor, residual, dof = _fitted(design, values, pose, cycles)
     kept = np.flatnonzero(np.isfinite(change[:, 0]))
     if len(kept) < 2:
-        raise NotPossible(f"the positions of {design.axis} were not repeated, or do not separate its errors")
+        raise NotPossible(
+            Message("the positions of {axis} were not repeated, or do not separate its errors", axis=design.axis)
+        )
     from_residuals = float(np.sqrt(residual / (2.0 * dof))) if dof > 0 else np.nan
     u_um = float(np.fmax(record.u_um, from_residuals))
     time = np.array([record.time_s[rows[cycle]].mean() for cycle in cycles])[kept]
@@ -103,7 +112,12 @@ def rotary_test(record: DriftRecord, rows: np.ndarray, standard: str) -> Standar
         name=design.axis,
         standard=standard,
         axes=(design.axis,),
-        place=f"{pose.max() + 1} positions, {len(kept)} cycles of readings, sphere {design.radius_mm:.0f} mm from the axis",
+        place=Message(
+            "{count} positions, {cycles} cycles of readings, sphere {radius_mm:.0f} mm from the axis",
+            count=pose.max() + 1,
+            cycles=len(kept),
+            radius_mm=design.radius_mm,
+        ),
         values=tuple(_values(design, change[kept], np.sqrt(2.0) * u_um * factor)),
         remarks=(*REMARKS, *record.remarks, *_noise_remarks(record, from_residuals, len(cycles) - len(kept))),
         detail=found,
@@ -166,152 +180,47 @@ def _fitted(
 
 def _values(design: AxisDesign, change: np.ndarray, u: np.ndarray) -> Iterator[StandardValue]:
     for k, (name, unit) in enumerate(zip(design.names, design.units, strict=True)):
-        what = WORDS[name.partition("_")[0]].format(axis=design.axis) if name[:2] != "E_" else name
+        what = WORDS[name.partition("_")[0]](axis=design.axis) if name[:2] != "E_" else name
         symbol, own, uncertainty = name.replace("_", " ") if name[:2] != "E_" else name, change[:, k], float(u[k])
         yield StandardValue(
             f"Δ({symbol})end",
             f"{name}_end",
             float(own[-1] - own[0]),
             unit,
-            f"change of {what} until the end",
+            Message("change of {what} until the end", what=what),
             uncertainty,
         )
         yield StandardValue(
-            f"Δ({symbol})t", f"{name}_t", float(np.ptp(own)), unit, f"range of {what} over the test", uncertainty
+            f"Δ({symbol})t",
+            f"{name}_t",
+            float(np.ptp(own)),
+            unit,
+            Message("range of {what} over the test", what=what),
+            uncertainty,
         )
 
 
-def _noise_remarks(record: DriftRecord, from_residuals: float, incomplete: int) -> Iterator[str]:
+def _noise_remarks(record: DriftRecord, from_residuals: float, incomplete: int) -> Iterator[Message]:
     if np.isfinite(from_residuals):
-        source = "larger than" if not from_residuals <= record.u_um else "within"
-        stated = f"{source} the {record.u_um:.1f} µm stated" if np.isfinite(record.u_um) else "none is stated"
-        used = ", and gives U" if source != "within" else ""
-        yield f"standard uncertainty of a reading from the residuals: {from_residuals:.2f} µm ({stated}){used}"
+        within = bool(from_residuals <= record.u_um)
+        stated = (
+            Message("none is stated")
+            if not np.isfinite(record.u_um)
+            else Message("within the {u_um:.1f} µm stated", u_um=record.u_um)
+            if within
+            else Message("larger than the {u_um:.1f} µm stated", u_um=record.u_um)
+        )
+        used = "" if within else Message(", and gives U")
+        yield Message(
+            "standard uncertainty of a reading from the residuals: {from_residuals:.2f} µm ({stated}){used}",
+            from_residuals=from_residuals,
+            stated=stated,
+            used=used,
+        )
     else:
-        yield "no degrees of freedom: more positions of the axis would check the rigid motion"
+        yield Message("no degrees of freedom: more positions of the axis would check the rigid motion")
     if incomplete:
-        yield f"{incomplete} cycles without enough positions were not used"
-
-
-# --- Displacements of the tool relative to the work from a measurement table: probe, R-test or tracker, repeated over time
-
-PARALLEL: Final = f"directions {SAME_AS_MACHINE}"
-UNTURNED: Final = (
-    "x, y and z are those of the station, whose orientation is unknown: give its pose for directions of the machine"
-)
-NOT_RELATIVE: Final = "motions of the station and of the table are contained: no target on the work was read"
-WORK_REMOVED: Final = "the displacement of target {} on the work, interpolated over time, is subtracted"
-
-
-def relative_displacements(
-    data: Measurements, machine: Machine, instrument: Instrument | None, ambient: str
-) -> DriftRecord:
-    """Return the displacements of the tool relative to the work, from a table whose stations are on one side.
-
-    The nominal motion between the commanded positions is subtracted: for a touch probe the displacements are those of the recorded
-    positions. Only changes at one pose count, so unknown places of station and target have no influence.
-    """
-    _check(data)
-    data = data.select(np.argsort(data.time_s, kind="stable"))
-    base = str(data.station_carrier[0]) == "base"
-    posed = bool(np.isfinite(data.station_pose).all())
-    deviation = _deviation_um(data, machine)
-    on_work = data.carrier == "work"
-    signed = np.where(on_work[:, None], -1.0, 1.0) * deviation
-    remarks = [] if posed else [UNTURNED if base else PARALLEL]
-    rows = np.arange(len(data))
-    if base:
-        signed, rows, more = _without_work(data, deviation, on_work)
-        remarks.append(more)
-    data, names = data.select(rows), ("x", "y", "z") if base and not posed else ("X", "Y", "Z")
-    used = {name: read_only(signed[rows, k]) for k, name in enumerate(names)}
-    u = _uncertainty_mm(data, instrument)
-    speed = data.channels.get(SPEED, np.full(len(data), np.nan))
-    return DriftRecord(
-        source=data.source,
-        time_s=data.time_s,
-        part=data.round,
-        spot=read_only(
-            np.array([f"target {t}, station {s}" for t, s in zip(data.target, data.station, strict=True)], dtype=object)
-        ),
-        positions=data.positions,
-        displacement=MappingProxyType(used),
-        units=MappingProxyType(dict.fromkeys(used, "um")),
-        temperature_degC=data.temperature_degC,
-        ambient=ambient,
-        speed_rpm=read_only(np.abs(speed)) if np.isfinite(speed).any() else None,
-        u_um=rms_um(u),
-        remarks=tuple(remarks),
-        notices=data.notices,
-        set_aside=data.set_aside,
-        simulated=data.simulated,
-        design=axis_design(data, machine),
-    )
-
-
-def _uncertainty_mm(data: Measurements, instrument: Instrument | None) -> np.ndarray:
-    """Return (n, 3) standard uncertainties of the readings, mm, those of a touch probe at its zero; NaN if unknown."""
-    if instrument is None or instrument.specification.reads != "null":
-        return reading_uncertainty_mm(data, instrument)
-    model = np.diagonal(instrument.covariance(np.zeros((len(data), 3))), axis1=1, axis2=2)
-    return np.where(np.isfinite(data.u_mm), data.u_mm, np.sqrt(model) / MM)
-
-
-def _check(data: Measurements) -> None:
-    missing = np.flatnonzero(~np.isfinite(data.time_s))
-    if len(missing):
-        raise data.error("no time in this row", expected="time_s in every row", row=missing[0])
-    unread = np.flatnonzero(~np.isfinite(data.point_mm).all(axis=1) | of_angles(data))
-    if len(unread):
-        raise data.error(
-            "no three coordinates in this row",
-            expected="x_mm, y_mm and z_mm: touch probe, R-test or tracker",
-            row=unread[0],
-        )
-    other = np.flatnonzero(data.station_carrier != data.station_carrier[0])
-    if len(other):
-        raise data.error(
-            "stations on different sides",
-            expected=f"station_carrier {data.station_carrier[0]} in every row",
-            row=other[0],
-            value=data.station_carrier[other[0]],
-        )
-
-
-def _deviation_um(data: Measurements, machine: Machine) -> np.ndarray:
-    """Return (n, 3) the readings minus the nominal motion, along the axes of the machine frame, µm.
-
-    Where the station stands on the base without a pose, along those of the station; the nominal motion is then left in.
-    """
-    posed = np.isfinite(data.station_pose).all(axis=1)
-    if data.station_carrier[0] == "base" and not posed.all():
-        return np.asarray(data.point_mm) * (MM / UM)
-    turn = scipy.spatial.transform.Rotation.from_rotvec(np.where(posed[:, None], data.station_pose[:, 3:], 0.0) * DEG)
-    carried = nominal_carriers(machine, data)
-    places = np.einsum("nij,nj->ni", carried.rotation, np.nan_to_num(data.place_mm) * MM)
-    deviation = turn.apply(np.array(data.point_mm)) * MM - carried.points - places
-    return np.asarray(np.einsum("nij,nj->ni", carried.ride, deviation)) / UM
-
-
-def _without_work(
-    data: Measurements, deviation_um: np.ndarray, on_work: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, str]:
-    """Return the displacements (n, 3) of tool targets relative to a target on the work, the rows of tool targets, and a remark."""
-    tool = np.flatnonzero(~on_work)
-    if not on_work.any():
-        return deviation_um, tool, NOT_RELATIVE
-    if not len(tool):
-        return (
-            -deviation_um,
-            np.arange(len(data)),
-            NOT_RELATIVE.replace("table", "tool").replace("the work", "the tool"),
-        )
-    name = data.target[on_work][0]
-    work = np.flatnonzero(on_work & (data.target == name))
-    deviation = deviation_um.copy()
-    for k in range(3):
-        deviation[:, k] -= np.interp(data.time_s, data.time_s[work], deviation_um[work, k])
-    return deviation, tool, WORK_REMOVED.format(name)
+        yield Message("{incomplete} cycles without enough positions were not used", incomplete=incomplete)
 
 
 # --- The tests of ISO 230-3 that a drift record allows, with their values -------------------------
@@ -323,19 +232,22 @@ SIDEWAYS: Final = 0.3
 """Share of the travel up to which the other axes may move with it, because targets are not exactly in line."""
 BESIDE: Final = 0.9
 """The same share where all readings are at two poses: those along the spindle cannot be in line."""
-NOT_VERIFIED: Final = (
-    "the kinds of test and the name ETVE are those of the public scope of ISO 230-3:2020; figures and symbols were not checked "
-    "against its text"
+NOT_VERIFIED: Final = Message(
+    "the kinds of test and the name ETVE are those of the public scope of ISO 230-3:2020; figures and symbols "
+    "were not checked against its text"
 )
-NO_SPEED: Final = "the record has no column spindle_rpm: the spindle is taken as stopped"
-AT_ONCE: Final = "displacements count from the last reading before the spindle ran, and contain shifts that come at once with the speed"
-NO_AMBIENT: Final = "no error per kelvin: the sensor of the ambient temperature is not given"
+NO_SPEED: Final = Message("the record has no column spindle_rpm: the spindle is taken as stopped")
+AT_ONCE: Final = Message(
+    "displacements count from the last reading before the spindle ran, and contain shifts that come at once "
+    "with the speed"
+)
+NO_AMBIENT: Final = Message("no error per kelvin: the sensor of the ambient temperature is not given")
 PAUSE_S: Final = 3600.0
 """Time at rest, s, that ends a period of running."""
-PERIODS: Final = (
+PERIODS: Final = Message(
     "a rest of the spindle of more than 60 min begins a new test; the machine may not have cooled down in it"
 )
-SHORT: Final = "the spindle ran for less than 60 min: no value of the first 60 min"
+SHORT: Final = Message("the spindle ran for less than 60 min: no value of the first 60 min")
 
 
 def drift_tests(record: DriftRecord, machine: Machine) -> Iterator[StandardTest]:
@@ -385,7 +297,7 @@ def _moving_axis(positions: np.ndarray, machine: Machine) -> int | None:
     two = _target_positions(positions[:, axis])[1]
     still = all(np.ptp(positions[two == k], axis=0).max() <= SAME_POSE for k in (1, 2)) if two.max() == 2 else False
     if others.size and others.max() > max((BESIDE if still else SIDEWAYS) * travel[axis], SAME_POSE):
-        raise NotPossible("several axes move: measure one axis after the other, each in its own round")
+        raise NotPossible(Message("several axes move: measure one axis after the other, each in its own round"))
     return axis
 
 
@@ -414,7 +326,10 @@ def _environment_test(record: DriftRecord, rows: np.ndarray, spot: str) -> Stand
         name="ETVE",
         standard=STANDARD,
         axes=(),
-        place="; ".join(filter(None, [f"machine at rest for {_hours(series.duration_s)}", spot])),
+        place=joined(
+            "; ",
+            [Message("machine at rest for {duration}", duration=_hours(series.duration_s)), *([spot] if spot else [])],
+        ),
         values=tuple(_environment_values(record, series)),
         remarks=(*remarks, *_noise_remark(record, series), *_temperature_remark(series)),
         detail=series,
@@ -431,7 +346,13 @@ def _spindle_test(record: DriftRecord, rows: np.ndarray, number: int, count: int
         name="spindle" if count == 1 else f"spindle{number}",
         standard=STANDARD,
         axes=(),
-        place="; ".join(filter(None, [f"running for {_hours(end - start)}, up to {highest:g} rpm", spot])),
+        place=joined(
+            "; ",
+            [
+                Message("running for {duration}, up to {highest:g} rpm", duration=_hours(end - start), highest=highest),
+                *([spot] if spot else []),
+            ],
+        ),
         values=tuple(_spindle_values(record, series)),
         remarks=(
             *(NOT_VERIFIED, *record.remarks, AT_ONCE),
@@ -453,32 +374,47 @@ def _axes_test(record: DriftRecord, rows: np.ndarray, machine: Machine, axis: in
     values = []
     for k, position in enumerate(targets, start=1):
         for one, unit in series.units.items():
-            at = f"{one} at {name} {position:g}".replace("-", "−")
+            at = Message("{one} at {name} {position}", one=one, name=name, position=f"{position:g}".replace("-", "−"))
             values += [
-                _value(record, f"e({one}){k}", f"e_{one}_{k}", series.range(one, target=k), unit, f"range of {at}"),
-                _value(record, f"e({one}){k}end", f"e_{one}_{k}_end", series.end(one, target=k), unit, f"{at}, end of test"),
+                _value(record, f"e({one}){k}", f"e_{one}_{k}", series.range(one, target=k), unit,
+                       Message("range of {what}", what=at)),
+                _value(record, f"e({one}){k}end", f"e_{one}_{k}_end", series.end(one, target=k), unit,
+                       Message("{what}, end of test", what=at)),
             ]  # fmt: skip
     along = next((one for one in (name, f"{name}1") if one in series.units), "")
     if len(targets) == 2 and along:
         growth = series.end(along, target=2) - series.end(along, target=1)
-        words = f"change of the distance of {targets[1] - targets[0]:g} mm between the target positions"
+        words = Message(
+            "change of the distance of {distance:g} mm between the target positions", distance=targets[1] - targets[0]
+        )
         values.append(_value(record, f"e({name})2−1", f"e_{name}_21", growth, series.units[along], words, 2.0**0.5))
-    remarks = [NOT_VERIFIED, *record.remarks, "displacements count from the first reading at each target position"]
+    remarks = [
+        NOT_VERIFIED,
+        *record.remarks,
+        Message("displacements count from the first reading at each target position"),
+    ]
     beside = {one.name: float(np.ptp(record.positions[rows, i])) for i, one in enumerate(machine.axes) if i != axis}
     remarks += [
-        f"{other} is {away:g} mm apart between the target positions: its drift is in the values"
+        Message(
+            "{other} is {away:g} mm apart between the target positions: its drift is in the values",
+            other=other,
+            away=away,
+        )
         for other, away in beside.items()
         if away > SIDEWAYS * np.ptp(where)
     ]
     if len(targets) != 2:
-        remarks.append(f"not a full test: {len(targets)} target positions instead of 2")
+        remarks.append(Message("not a full test: {count} target positions instead of 2", count=len(targets)))
     return StandardTest(
         kind="moving linear axis",
         name=name,
         standard=STANDARD,
         axes=(name,),
-        place=f"targets at {name} {', '.join(f'{target:g}' for target in targets)}, {_hours(series.duration_s)}".replace(
-            "-", "−"
+        place=Message(
+            "targets at {name} {targets}, {duration}",
+            name=name,
+            targets=", ".join(f"{target:g}" for target in targets).replace("-", "−"),
+            duration=_hours(series.duration_s),
         ),
         values=tuple(values),
         remarks=(*remarks, *_noise_remark(record, series), *_temperature_remark(series)),
@@ -496,10 +432,10 @@ def _target_positions(where: np.ndarray) -> tuple[list[float], np.ndarray]:
 
 def _series(record: DriftRecord, rows: np.ndarray, kind: str, target: np.ndarray) -> DriftSeries:
     if len(rows) < 2:
-        raise NotPossible("fewer than two readings")
+        raise NotPossible(Message("fewer than two readings"))
     time = record.time_s[rows]
     if np.any(np.diff(time) <= 0.0):
-        raise NotPossible("readings at the same time: give time_s of every reading")
+        raise NotPossible(Message("readings at the same time: give time_s of every reading"))
     return drift_series(
         kind,  # type: ignore[arg-type]
         time,
@@ -515,25 +451,42 @@ def _environment_values(record: DriftRecord, found: DriftSeries) -> Iterator[Sta
     change = spread(found.temperature_degC[record.ambient]) if record.ambient in found.temperature_degC else np.nan
     for name, unit in found.units.items():
         value = found.range(name)
-        yield _value(record, f"ETVE({name})", f"ETVE_{name}", value, unit, f"range of {name} over the test")
+        yield _value(
+            record, f"ETVE({name})", f"ETVE_{name}", value, unit, Message("range of {name} over the test", name=name)
+        )
         if change > 0.0:
-            words = f"range of {name} divided by that of the ambient temperature"
+            words = Message("range of {name} divided by that of the ambient temperature", name=name)
             yield _value(
                 record, f"ETVE({name})/ΔT", f"ETVE_{name}_per_K", value / change, f"{unit}/K", words, 1.0 / change
             )
     if np.isfinite(change):
-        yield StandardValue("ΔT", "T_ambient", change, "K", "range of the ambient temperature")
+        yield StandardValue("ΔT", "T_ambient", change, "K", Message("range of the ambient temperature"))
 
 
 def _spindle_values(record: DriftRecord, found: DriftSeries) -> Iterator[StandardValue]:
     start, end = found.running_s or (0.0, 0.0)
     for name, unit in found.units.items():
-        noun = "tilt" if unit == "urad" else "displacement"
+        noun = Message("tilt") if unit == "urad" else Message("displacement")
         first = found.range(name, until_s=FIRST_S) if end - start >= FIRST_S else float("nan")
         rows = (
-            (f"d({name})end", f"d_{name}_end", found.end(name), f"{noun} {name} at the end of running"),
-            (f"d({name})60", f"d_{name}_60", first, f"range of {name} in the first 60 min of running"),
-            (f"d({name})t", f"d_{name}_t", found.range(name), f"range of {name} over the period of running"),
+            (
+                f"d({name})end",
+                f"d_{name}_end",
+                found.end(name),
+                Message("{noun} {name} at the end of running", noun=noun, name=name),
+            ),
+            (
+                f"d({name})60",
+                f"d_{name}_60",
+                first,
+                Message("range of {name} in the first 60 min of running", name=name),
+            ),
+            (
+                f"d({name})t",
+                f"d_{name}_t",
+                found.range(name),
+                Message("range of {name} over the period of running", name=name),
+            ),
         )
         for symbol, key, value, words in rows:
             yield _value(record, symbol, key, value, unit, words)
@@ -547,29 +500,38 @@ def _value(
     return StandardValue(symbol, key, value, unit, words, u)
 
 
-def _temperature_remark(found: DriftSeries) -> list[str]:
+def _temperature_remark(found: DriftSeries) -> list[Message]:
     ranges = {name: spread(values) for name, values in found.temperature_degC.items()}
     known = [f"{name} {value:.1f} K" for name, value in ranges.items() if np.isfinite(value)]
-    return [f"ranges of temperature: {', '.join(known)}"] if known else ["no temperatures were recorded"]
+    return (
+        [Message("ranges of temperature: {ranges}", ranges=Number(", ".join(known)))]
+        if known
+        else [Message("no temperatures were recorded")]
+    )
 
 
-def _noise_remark(record: DriftRecord, found: DriftSeries) -> list[str]:
+def _noise_remark(record: DriftRecord, found: DriftSeries) -> list[Message]:
     """Return the range that noise alone gives: expected normal extremes after Blom (1958)."""
     n = int(np.count_nonzero(found.target == 1))
     if not (np.isfinite(record.u_um) and n > 1):
         return []
     expected = 2.0 * float(normal_isf(0.625 / (n + 0.25))) * record.u_um
     return [
-        f"noise alone gives a range of about {expected:.1f} µm over {n} readings; U of a range does not contain this"
+        Message(
+            "noise alone gives a range of about {expected:.1f} µm over {n} readings; U of a range does not contain "
+            "this",
+            expected=expected,
+            n=n,
+        )
     ]
 
 
-def _hours(seconds: float) -> str:
-    return f"{seconds / 3600.0:.1f} h" if seconds >= 7200.0 else f"{seconds / 60.0:.0f} min"
+def _hours(seconds: float) -> Number:
+    return Number(f"{seconds / 3600.0:.1f} h" if seconds >= 7200.0 else f"{seconds / 60.0:.0f} min")
 
 
-TITLE: Final = "thermal tests (ISO 230-3)"
-BUDGET: Final = (
+TITLE: Final = Message("thermal tests (ISO 230-3)")
+BUDGET: Final = Message(
     "U (95 %) contains the noise of two readings only: no drift of the instrument, no expansion of mandrel or fixture."
 )
 
@@ -616,14 +578,14 @@ def evaluate_drift(
     try:
         tests += drift_tests(record, machine)
     except NotPossible as reason:
-        missing.append(NotEvaluated(TITLE, str(reason)))
+        missing.append(NotEvaluated(TITLE, reason.why))
     return EvaluationResult(
         data=record,
         machine=machine.name,
         tests=tuple(tests),
         not_evaluated=tuple(missing),
         assumptions=(),
-        uncertainty=BUDGET if np.isfinite(record.u_um) else "",
+        uncertainty=BUDGET if np.isfinite(record.u_um) else Message(""),
         checks=check_tolerances(tolerances or {}, tests),
         warnings=(SIMULATED,) if record.simulated else (),
     )

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.errors import InputError, require_type
+from twin._common.messages import Message
 from twin._common.provenance import SIMULATED
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
@@ -26,21 +27,19 @@ from twin.standards.readings import (
     reading_uncertainty_mm,
     station_frame,
 )
-from twin.standards.result import EvaluationResult, NotEvaluated, StandardTest, check_limits, check_tolerances
+from twin.standards.result import KINDS, EvaluationResult, NotEvaluated, StandardTest, check_limits, check_tolerances
 from twin.standards.rotary_axes import circle_test, kinematic_test, rotary_tests
 
 NO_RUN: Final = {
-    "positioning": "no run in which one axis alone moves to at least three targets, or repeatedly to two",
-    "angular error": "no run of angles in which one axis alone moves to at least three positions, or repeatedly to two",
-    "circular": "no run in which two linear axes move on a circle, over more than half a turn",
-    "squareness": "no two linear axes measured across their travel from one station",
-    "kinematic": "no run of linear and rotary axes in which the nominal point of the target stands still",
+    "positioning": Message("no run in which one axis alone moves to at least three targets, or repeatedly to two"),
+    Message("angular error"): Message(
+        "no run of angles in which one axis alone moves to at least three positions, or repeatedly to two"
+    ),
+    "circular": Message("no run in which two linear axes move on a circle, over more than half a turn"),
+    "squareness": Message("no two linear axes measured across their travel from one station"),
+    "kinematic": Message("no run of linear and rotary axes in which the nominal point of the target stands still"),
 }
 """Reason why a test is missing if the table has no run for it."""
-BUDGET: Final = (
-    "U (95 %) is propagated from the standard uncertainties {source}, taken as independent. It does not contain the scale error of the "
-    "instrument, temperature and set-up, which the standards' own budgets add."
-)
 Uncertainties = Callable[[MeasuredRun], np.ndarray]
 
 
@@ -109,15 +108,13 @@ def evaluate(
         _attempt(_title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run))
     for run in runs.mixed:
         _attempt(_title("kinematic", run, machine), tests, missing, kinematic_test, run, machine, uncertainty_mm(run))
-    stated = bool(np.isfinite(data.u_mm).any())
-    source = "in the table" if stated else f"of the instrument ({instrument.specification.title})" if instrument else ""
     return EvaluationResult(
         data=data,
         machine=machine.name,
         tests=tuple(tests),
         not_evaluated=(*_without_duplicates(missing), *_absent(tests, missing, machine)),
         assumptions=_assumptions(runs, tests, machine),
-        uncertainty=BUDGET.format(source=source) if source else "",
+        uncertainty=_budget(data, instrument),
         checks=check_tolerances(tolerances or {}, tests),
         warnings=(SIMULATED,) if data.simulated else (),
     )
@@ -163,7 +160,7 @@ def _angles(
     """Add the angular errors of linear axes."""
     runs = find_runs(data, machine).single
     if not runs:
-        missing.append(NotEvaluated("angular error", NO_RUN["angular error"]))
+        missing.append(NotEvaluated(KINDS["angular error"], NO_RUN["angular error"]))
     for run in runs:
         _attempt(
             _title("angular error", run, machine), tests, missing, angular_tests, run, machine, uncertainty_mm(run)
@@ -171,7 +168,7 @@ def _angles(
 
 
 def _attempt(
-    title: str,
+    title: Message,
     tests: list[StandardTest],
     missing: list[NotEvaluated],
     function: Callable[..., Iterator[StandardTest] | StandardTest | None],
@@ -185,22 +182,38 @@ def _attempt(
         elif found is not None:
             tests.extend(found)
     except NotPossible as reason:
-        missing.append(NotEvaluated(title, str(reason)))
+        missing.append(NotEvaluated(title, reason.why))
 
 
-def _title(kind: str, run: MeasuredRun, machine: Machine) -> str:
+def _budget(data: Measurements, instrument: Instrument | None) -> Message:
+    """Return where the uncertainty of the readings comes from; empty if it is unknown."""
+    if np.isfinite(data.u_mm).any():
+        source = Message("in the table")
+    elif instrument is not None:
+        source = Message("of the instrument ({title})", title=instrument.specification.title)
+    else:
+        return Message("")
+    return Message(
+        "U (95 %) is propagated from the standard uncertainties {source}, taken as independent. It does not contain the scale error of "
+        "the instrument, temperature and set-up, which the standards' own budgets add.",
+        source=source,
+    )
+
+
+def _title(kind: str, run: MeasuredRun, machine: Machine) -> Message:
+    """Return the test with its place, which is the argument ``place``."""
     names = "".join(machine.axes[i].name for i in run.axes)
-    words = "positioning and error motions" if kind == "rotary" else kind
-    return f"{names}: {words} ({place_of(run)})"
+    words = Message("positioning and error motions") if kind == "rotary" else KINDS[kind]
+    return Message("{test} ({place})", test=Message("{name}: {kind}", name=names, kind=words), place=place_of(run))
 
 
 def _without_duplicates(missing: Iterable[NotEvaluated]) -> list[NotEvaluated]:
     """Return one entry for each test and reason, whatever the place; the number of runs is given."""
-    groups: dict[tuple[str, str], list[NotEvaluated]] = {}
+    groups: dict[tuple[Message, Message], list[NotEvaluated]] = {}
     for one in missing:
-        groups.setdefault((one.test.partition(" (")[0], one.why), []).append(one)
+        groups.setdefault((one.test.arguments.get("test", one.test), one.why), []).append(one)
     return [
-        found[0] if len(found) == 1 else NotEvaluated(f"{test}, {len(found)} runs", why)
+        found[0] if len(found) == 1 else NotEvaluated(Message("{test}, {count} runs", test=test, count=len(found)), why)
         for (test, why), found in groups.items()
     ]
 
@@ -211,18 +224,26 @@ def _absent(tests: Iterable[StandardTest], missing: Iterable[NotEvaluated], mach
     tried = {one.test.partition(":")[0] for one in missing}
     kinds = {kind for kind, _ in done}
     idle = [axis.name for axis in machine.axes if ("positioning", axis.name) not in done and axis.name not in tried]
-    absent = [NotEvaluated(f"{', '.join(idle)}: positioning", NO_RUN["positioning"])] if idle else []
+    absent = (
+        [
+            NotEvaluated(
+                Message("{name}: {kind}", name=", ".join(idle), kind=KINDS["positioning"]), NO_RUN["positioning"]
+            )
+        ]
+        if idle
+        else []
+    )
     if len(machine.linear) >= 2:
         for kind in ("squareness", "circular"):
             if kind not in kinds:
-                absent.append(NotEvaluated(kind, NO_RUN[kind]))
+                absent.append(NotEvaluated(KINDS[kind], NO_RUN[kind]))
     if machine.linear and machine.rotary and "kinematic" not in kinds:
-        absent.append(NotEvaluated("kinematic (ISO 10791-6)", NO_RUN["kinematic"]))
+        absent.append(NotEvaluated(Message("kinematic (ISO 10791-6)"), NO_RUN["kinematic"]))
     return absent
 
 
-def _assumptions(runs: TableRuns, tests: Iterable[StandardTest], machine: Machine) -> tuple[str, ...]:
-    order = "time_s" if runs.ordered_by_time else "the rows of each round"
+def _assumptions(runs: TableRuns, tests: Iterable[StandardTest], machine: Machine) -> tuple[Message, ...]:
+    order = "time_s" if runs.ordered_by_time else Message("the rows of each round")
     evaluated = {name for test in tests if test.kind == "positioning" for name in test.axes}
     derived = [
         name
@@ -232,9 +253,13 @@ def _assumptions(runs: TableRuns, tests: Iterable[StandardTest], machine: Machin
     assumptions = []
     if derived:
         assumptions.append(
-            f"direction of approach of {', '.join(derived)} from the order of {order}: the table has no column "
-            f"{', '.join(f'approach_{name}' for name in derived)}"
+            Message(
+                "direction of approach of {names} from the order of {order}: the table has no column {columns}",
+                names=", ".join(derived),
+                order=order,
+                columns=", ".join(f"approach_{name}" for name in derived),
+            )
         )
     if runs.circles:
-        assumptions.append(f"direction of travel on circles from the order of {order}")
+        assumptions.append(Message("direction of travel on circles from the order of {order}", order=order))
     return tuple(assumptions)

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin._common.units import count_with_noun
+from twin._common.messages import Message
 
 
 def finite_array(name: str, values: ArrayLike, *dimensions: int) -> np.ndarray:
@@ -88,7 +88,7 @@ class AngularError:
     backward_value_urad: float | None
     # largest difference of the two directions at a position, forward minus backward; None if there is none
     reversal_urad: float | None
-    shortfalls: tuple[str, ...]  # what a full test has and this one lacks
+    shortfalls: tuple[Message, ...]  # what a full test has and this one lacks
 
 
 def angular_error(position_mm: ArrayLike, angle_urad: ArrayLike, approach: ArrayLike, *, name: str) -> AngularError:
@@ -116,9 +116,11 @@ def angular_error(position_mm: ArrayLike, angle_urad: ArrayLike, approach: Array
     ranges = [float(np.nanmax(one) - np.nanmin(one)) if np.isfinite(one).sum() > 1 else None for one in both]
     shortfalls = []
     if len(targets) < FEWEST_POSITIONS:
-        shortfalls.append(f"{count_with_noun(len(targets), 'position')}, fewer than {FEWEST_POSITIONS}")
+        shortfalls.append(
+            Message("{count} positions, fewer than {fewest}", count=len(targets), fewest=FEWEST_POSITIONS)
+        )
     if None in ranges:
-        shortfalls.append("one direction of motion only")
+        shortfalls.append(Message("one direction of motion only"))
     difference = (both[0] - both[1])[np.isfinite(both).all(axis=0)]
     return AngularError(
         name,

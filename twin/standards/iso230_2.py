@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin._common.units import MM, count_with_noun
+from twin._common.messages import Message
+from twin._common.units import MM
 from twin.standards.iso230_1 import check_same_length, finite_array
 
 CYCLES: Final = 5
@@ -65,7 +66,7 @@ class Positioning:
     A_forward: float  # A_forward, A_backward: unidirectional accuracy, range of x̄_i ± 2 s_i of one direction (3.23)
     A_backward: float
     A: float  # bidirectional accuracy, range of both together (3.24)
-    shortfalls: tuple[str, ...]  # requirements of clause 4.3 that this test does not meet; empty if it meets all
+    shortfalls: tuple[Message, ...]  # requirements of clause 4.3 that this test does not meet; empty if it meets all
 
     @property
     def cycles(self) -> int:
@@ -89,7 +90,7 @@ class UnidirectionalPositioning:
     R: float  # R, E, A: repeatability, systematic deviation and accuracy; R and A are NaN for a single cycle
     E: float
     A: float
-    shortfalls: tuple[str, ...]  # requirements of clause 4.3 that this test does not meet
+    shortfalls: tuple[Message, ...]  # requirements of clause 4.3 that this test does not meet
 
 
 def unidirectional(
@@ -114,7 +115,7 @@ def unidirectional(
         R=float(4.0 * s.max()),
         E=float(np.ptp(mean)),
         A=float((mean + 2.0 * s).max() - (mean - 2.0 * s).min()),
-        shortfalls=(*_shortfalls(target_unit, targets, cycles), "approached from one direction only"),
+        shortfalls=(*_shortfalls(target_unit, targets, cycles), Message("approached from one direction only")),
     )
 
 
@@ -177,23 +178,37 @@ def _estimator(deviations: np.ndarray) -> np.ndarray:
     return deviations.std(axis=1, ddof=1) if deviations.shape[1] > 1 else np.full(len(deviations), np.nan)
 
 
-def _shortfalls(target_unit: str, target: np.ndarray, cycles: int) -> tuple[str, ...]:
+def _shortfalls(target_unit: str, target: np.ndarray, cycles: int) -> tuple[Message, ...]:
     """Return the requirements of 4.3.2 (linear up to 2 m), 4.3.3 (longer) and 4.3.4 (rotary up to 360°) that are not met."""
     travel, shortfalls = float(np.ptp(target)), []
     if target_unit == "mm":
         if travel > LONGEST_MM:
-            shortfalls.append(f"travel of {travel:g} mm; above {LONGEST_MM:g} mm the standard has another test (4.3.3)")
+            shortfalls.append(
+                Message(
+                    "travel of {travel:g} mm; above {longest:g} mm the standard has another test (4.3.3)",
+                    travel=travel,
+                    longest=LONGEST_MM,
+                )
+            )
         required = max(TARGETS, int(np.ceil(TARGETS_PER_METRE * travel * MM - 1e-9)))  # 5 for 1000 mm, not 6
     else:
         required = next((count for limit, count in ROTARY_TARGETS if travel <= limit), ROTARY_TARGETS[-1][1])
         if travel > ROTARY_TARGETS[-1][0]:
-            shortfalls.append(f"travel of {travel:g}°; the standard's test covers up to 360° (4.3.4)")
+            shortfalls.append(
+                Message("travel of {travel:g}°; the standard's test covers up to 360° (4.3.4)", travel=travel)
+            )
     if len(target) < required:
         shortfalls.append(
-            f"{count_with_noun(len(target), 'target')}, at least {required} required over {travel:g} {_SIGNS[target_unit]}"
+            Message(
+                "{count} targets, at least {required} required over {travel:g} {unit}",
+                count=len(target),
+                required=required,
+                travel=travel,
+                unit=_SIGNS[target_unit],
+            )
         )
     if cycles < CYCLES:
-        shortfalls.append(f"{cycles} cycles, {CYCLES} required")
+        shortfalls.append(Message("{cycles} cycles, {required} required", cycles=cycles, required=CYCLES))
     return tuple(shortfalls)
 
 

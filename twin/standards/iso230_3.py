@@ -22,18 +22,22 @@ from types import MappingProxyType
 from typing import Final, Literal, final
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError, closest_name
+from twin._common.messages import Message
 from twin._common.records import SPEED, TIME, check_course, is_temperature, read_record, sensor_of
-from twin._common.units import MM
+from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Axis, Machine
 from twin.measurement.columns import CARRIERS, RowNote, simulated_comments
-from twin.measurement.observation import Observation
+from twin.measurement.instruments import Instrument
+from twin.measurement.observation import Observation, nominal_carriers, of_angles
 from twin.measurement.table import Measurements
 from twin.standards.iso230_1 import check_same_length, finite_array
+from twin.standards.readings import SAME_AS_MACHINE, reading_uncertainty_mm, rms_um
 
 FIRST_S: Final = 3600.0
 """Length of the first part of a spindle test, s."""
@@ -339,7 +343,9 @@ class SensorMap:
         name = self.ambient or AMBIENT
         return name if name in temperatures and np.isfinite(temperatures[name]).any() else ""
 
-    def applied(self, readings: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, str], list[str]]:
+    def applied(
+        self, readings: Mapping[str, np.ndarray]
+    ) -> tuple[dict[str, np.ndarray], dict[str, str], list[Message]]:
         """Return displacements by direction, with tilts, their units, and remarks, from readings (n,) in µm by sensor.
 
         B is the tilt about +Y from X1 and X2, A that about +X from Y1 and Y2, right-handed, where sensor 2 is above sensor 1 on a
@@ -349,7 +355,7 @@ class SensorMap:
         values = {place: self.sign[place] * readings[self.sensor[place]] for place in read}
         units = dict.fromkeys(values, "um")
         silent = sorted(set(self.sensor.values()) - set(readings))
-        remarks = [f"sensors without any reading: {', '.join(silent)}"] if silent else []
+        remarks = [Message("sensors without any reading: {names}", names=", ".join(silent))] if silent else []
         for pair, tilt, way in (("X1-X2", "B", 1.0), ("Y1-Y2", "A", -1.0)):
             lower, upper = pair.split("-")
             if lower in values and upper in values:
@@ -357,16 +363,25 @@ class SensorMap:
                     values[tilt] = way * tilt_urad(values[lower], values[upper], self.distance_mm[pair])
                     units[tilt] = "urad"
                 else:
-                    remarks.append(f"no tilt {tilt}: the distance {pair} of the sensors is not given")
+                    remarks.append(
+                        Message("no tilt {tilt}: the distance {pair} of the sensors is not given", tilt=tilt, pair=pair)
+                    )
         left = [name for name in readings if name not in self.sensor.values()]
         own = {name: f"sensor {name}" if name in values else name for name in left}
         values |= {own[name]: readings[name] for name in left}
         units |= dict.fromkeys(own.values(), "um")
         if left:
-            remarks.append(f"the direction of {', '.join(left)} is not given: values of single sensors, without tilt")
+            remarks.append(
+                Message(
+                    "the direction of {names} is not given: values of single sensors, without tilt",
+                    names=", ".join(left),
+                )
+            )
         if {"A", "B"} & set(units):
             remarks.append(
-                "tilts are right-handed if sensor 2 is nearer to the spindle nose than sensor 1, on a spindle along Z"
+                Message(
+                    "tilts are right-handed if sensor 2 is nearer to the spindle nose than sensor 1, on a spindle along Z"
+                )
             )
         return values, units, remarks
 
@@ -405,8 +420,8 @@ class DriftRecord:
     ambient: str  # the sensor of the ambient temperature; empty if unknown
     speed_rpm: np.ndarray | None  # (n,); None if the record has no speeds
     u_um: float = float("nan")  # standard uncertainty of a displacement; NaN if unknown
-    remarks: tuple[str, ...] = ()  # assumptions on directions
-    notices: tuple[str, ...] = ()  # what was read but not used
+    remarks: tuple[Message, ...] = ()  # assumptions on directions
+    notices: tuple[Message, ...] = ()  # what was read but not used
     set_aside: tuple[RowNote, ...] = ()
     simulated: bool = False
     # how the errors of the rotary axis that moves act on the displacements; None if there is none
@@ -476,3 +491,137 @@ def _numbers(cells: Cells, name: str) -> np.ndarray:
     values = cells.numbers(name)
     cells.refuse(np.isinf(values), values, name, "a number or an empty cell")
     return values
+
+
+# --- Displacements of the tool relative to the work from a measurement table: probe, R-test or tracker, repeated over time
+
+UNTURNED: Final = Message(
+    "x, y and z are those of the station, whose orientation is unknown: give its pose for directions of the machine"
+)
+NOT_RELATIVE: Final = Message("motions of the station and of the table are contained: no target on the work was read")
+NOT_RELATIVE_WORK: Final = Message(
+    "motions of the station and of the tool are contained: no target on the tool was read"
+)
+
+
+def relative_displacements(
+    data: Measurements, machine: Machine, instrument: Instrument | None, ambient: str
+) -> DriftRecord:
+    """Return the displacements of the tool relative to the work, from a table whose stations are on one side.
+
+    The nominal motion between the commanded positions is subtracted: for a touch probe the displacements are those of the recorded
+    positions. Only changes at one pose count, so unknown places of station and target have no influence.
+    """
+    _check(data)
+    data = data.select(np.argsort(data.time_s, kind="stable"))
+    base = str(data.station_carrier[0]) == "base"
+    posed = bool(np.isfinite(data.station_pose).all())
+    deviation = _deviation_um(data, machine)
+    on_work = data.carrier == "work"
+    signed = np.where(on_work[:, None], -1.0, 1.0) * deviation
+    remarks = [] if posed else [UNTURNED if base else SAME_AS_MACHINE]
+    rows = np.arange(len(data))
+    if base:
+        signed, rows, more = _without_work(data, deviation, on_work)
+        remarks.append(more)
+    data, names = data.select(rows), ("x", "y", "z") if base and not posed else ("X", "Y", "Z")
+    used = {name: read_only(signed[rows, k]) for k, name in enumerate(names)}
+    u = _uncertainty_mm(data, instrument)
+    speed = data.channels.get(SPEED, np.full(len(data), np.nan))
+    return DriftRecord(
+        source=data.source,
+        time_s=data.time_s,
+        part=data.round,
+        spot=read_only(
+            np.array(
+                [
+                    Message("target {target}, station {station}", target=t, station=s)
+                    for t, s in zip(data.target, data.station, strict=True)
+                ],
+                dtype=object,
+            )
+        ),
+        positions=data.positions,
+        displacement=MappingProxyType(used),
+        units=MappingProxyType(dict.fromkeys(used, "um")),
+        temperature_degC=data.temperature_degC,
+        ambient=ambient,
+        speed_rpm=read_only(np.abs(speed)) if np.isfinite(speed).any() else None,
+        u_um=rms_um(u),
+        remarks=tuple(remarks),
+        notices=data.notices,
+        set_aside=data.set_aside,
+        simulated=data.simulated,
+        design=axis_design(data, machine),
+    )
+
+
+def _uncertainty_mm(data: Measurements, instrument: Instrument | None) -> np.ndarray:
+    """Return (n, 3) standard uncertainties of the readings, mm, those of a touch probe at its zero; NaN if unknown."""
+    if instrument is None or instrument.specification.reads != "null":
+        return reading_uncertainty_mm(data, instrument)
+    model = np.diagonal(instrument.covariance(np.zeros((len(data), 3))), axis1=1, axis2=2)
+    return np.where(np.isfinite(data.u_mm), data.u_mm, np.sqrt(model) / MM)
+
+
+def _check(data: Measurements) -> None:
+    missing = np.flatnonzero(~np.isfinite(data.time_s))
+    if len(missing):
+        raise data.error("no time in this row", expected="time_s in every row", row=missing[0])
+    unread = np.flatnonzero(~np.isfinite(data.point_mm).all(axis=1) | of_angles(data))
+    if len(unread):
+        raise data.error(
+            "no three coordinates in this row",
+            expected="x_mm, y_mm and z_mm: touch probe, R-test or tracker",
+            row=unread[0],
+        )
+    other = np.flatnonzero(data.station_carrier != data.station_carrier[0])
+    if len(other):
+        raise data.error(
+            "stations on different sides",
+            expected=f"station_carrier {data.station_carrier[0]} in every row",
+            row=other[0],
+            value=data.station_carrier[other[0]],
+        )
+
+
+def _deviation_um(data: Measurements, machine: Machine) -> np.ndarray:
+    """Return (n, 3) the readings minus the nominal motion, along the axes of the machine frame, µm.
+
+    Where the station stands on the base without a pose, along those of the station; the nominal motion is then left in.
+    """
+    posed = np.isfinite(data.station_pose).all(axis=1)
+    if data.station_carrier[0] == "base" and not posed.all():
+        return np.asarray(data.point_mm) * (MM / UM)
+    turn = scipy.spatial.transform.Rotation.from_rotvec(np.where(posed[:, None], data.station_pose[:, 3:], 0.0) * DEG)
+    carried = nominal_carriers(machine, data)
+    places = np.einsum("nij,nj->ni", carried.rotation, np.nan_to_num(data.place_mm) * MM)
+    deviation = turn.apply(np.array(data.point_mm)) * MM - carried.points - places
+    return np.asarray(np.einsum("nij,nj->ni", carried.ride, deviation)) / UM
+
+
+def _without_work(
+    data: Measurements, deviation_um: np.ndarray, on_work: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Message]:
+    """Return the displacements (n, 3) of tool targets relative to a target on the work, the rows of tool targets, and a remark."""
+    tool = np.flatnonzero(~on_work)
+    if not on_work.any():
+        return deviation_um, tool, NOT_RELATIVE
+    if not len(tool):
+        return (
+            -deviation_um,
+            np.arange(len(data)),
+            NOT_RELATIVE_WORK,
+        )
+    name = data.target[on_work][0]
+    work = np.flatnonzero(on_work & (data.target == name))
+    deviation = deviation_um.copy()
+    for k in range(3):
+        deviation[:, k] -= np.interp(data.time_s, data.time_s[work], deviation_um[work, k])
+    return (
+        deviation,
+        tool,
+        Message(
+            "the displacement of target {target} on the work, interpolated over time, is subtracted", target=str(name)
+        ),
+    )

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.units import DEG, MM, UM
 from twin.standards.iso230_1 import check_same_length, finite_array
 
@@ -188,7 +189,7 @@ class CircularTest:
     H_um: float | None
     H_angle_deg: float | None  # angle at which it occurs; None with one direction
     centre_um: np.ndarray  # (2,) centre of the least-squares circle of all points
-    shortfalls: tuple[str, ...]  # what the test lacks of a full one, in words; empty if nothing
+    shortfalls: tuple[Message, ...]  # what the test lacks of a full one, in words; empty if nothing
 
     @property
     def paths(self) -> tuple[tuple[str, CircularPath], ...]:
@@ -215,17 +216,17 @@ def circular_test(
     """
     if not (np.isfinite(radius_mm) and radius_mm > 0.0):
         raise InputError("the nominal radius must be positive", expected="mm, above 0", value=radius_mm)
-    shortfalls: list[str] = []
+    shortfalls: list[Message] = []
     found = [
         None if given is None else _path(words, radius_mm, given, shortfalls)
-        for words, given in (("counter-clockwise", forward), ("clockwise", backward))
+        for words, given in ((Message("counter-clockwise"), forward), (Message("clockwise"), backward))
     ]
     up, down = found
     present = [path for path in found if path is not None]
     if not present:
         raise InputError("no path of a circular test", expected="at least one direction of travel")
     if len(present) < 2:
-        shortfalls.append("one direction of travel only; the standard's test has both")
+        shortfalls.append(Message("one direction of travel only; the standard's test has both"))
     angle = np.concatenate([path.angle_deg for path in present])
     radius = np.concatenate([path.radius_um for path in present])
     mean, (once,) = fit_harmonics(angle, radius, 1)
@@ -273,7 +274,7 @@ def _extremes(angle_deg: np.ndarray, radius_um: np.ndarray) -> np.ndarray:
     return np.unique(order[np.concatenate([first, last])])
 
 
-def _path(words: str, radius_mm: float, given: tuple[Angles, Radii], shortfalls: list[str]) -> CircularPath:
+def _path(words: Message, radius_mm: float, given: tuple[Angles, Radii], shortfalls: list[Message]) -> CircularPath:
     angle, measured = finite_array("angles", given[0], 1) % 360.0, finite_array("radii", given[1], 1)
     check_same_length("radii", measured, "the angles", angle)
     if len(angle) < FEWEST_POINTS:
@@ -284,7 +285,9 @@ def _path(words: str, radius_mm: float, given: tuple[Angles, Radii], shortfalls:
     if gap > LARGEST_GAP_DEG:
         raise InputError("less than half of a circle", expected="points over more than 180°", value=360.0 - gap)
     if gap > FULL_TURN_GAP_DEG:
-        shortfalls.append(f"{words} path of {360.0 - gap:.0f}° only, not a full turn")
+        shortfalls.append(
+            Message("{words} path of {degrees:.0f}° only, not a full turn", words=words, degrees=360.0 - gap)
+        )
     mean, (once,) = fit_harmonics(angle, radius, 1)
     centre = np.array([once.cos, once.sin])
     centred = radius - _limacon(angle, centre)

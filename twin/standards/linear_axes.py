@@ -13,6 +13,7 @@ from twin.machine.machine import Machine
 from twin.standards.iso230_1 import PAIRS, LineKind, Straightness, angular_error, squareness, straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning, bidirectional, unidirectional
 from twin.standards.readings import (
+    AS_GIVEN,
     DECIMALS,
     SAME_AS_MACHINE,
     MeasuredRun,
@@ -51,12 +52,14 @@ def linear_positioning(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> 
     remarks = []
     if not own_zero:
         deviation = deviation - deviation[0]
-        remarks.append("deviations count from the first reading: the zero of the readings is not that of the axis")
+        remarks.append(
+            Message("deviations count from the first reading: the zero of the readings is not that of the axis")
+        )
     return positioning(run, machine, deviation, float(np.sqrt(np.mean(u**2))) * (MM / UM), remarks)
 
 
 def positioning(
-    run: MeasuredRun, machine: Machine, deviation: np.ndarray, u: float, remarks: Sequence[str] = ()
+    run: MeasuredRun, machine: Machine, deviation: np.ndarray, u: float, remarks: Sequence[Message] = ()
 ) -> StandardTest:
     """Evaluate the positioning of an axis by ISO 230-2, from both directions of approach or one.
 
@@ -67,7 +70,7 @@ def positioning(
     notes = [*remarks]
     targets, up, down = _approaches(run.positions[:, 0], deviation, approach, notes)
     if len(targets) < 2:
-        raise NotPossible("fewer than two target positions were approached from the same direction")
+        raise NotPossible(Message("fewer than two target positions were approached from the same direction"))
     unit: Literal["mm", "deg"] = "mm" if axis.linear else "deg"
     found: Positioning | UnidirectionalPositioning
     if up.shape[1] and down.shape[1]:
@@ -77,9 +80,9 @@ def positioning(
         direction = 1 if up.shape[1] else -1
         found = unidirectional(targets, up if direction > 0 else down, unit, direction, axis=axis.name)
         values = _values_of_one_direction(found, u)
-    notes += [f"not by the standard (4.3): {text}" for text in found.shortfalls]
+    notes += [Message("not by the standard (4.3): {text}", text=text) for text in found.shortfalls]
     if max(up.shape[1], down.shape[1]) < 2:
-        notes.append("a single cycle: repeatability R and accuracy A are not determined")
+        notes.append(Message("a single cycle: repeatability R and accuracy A are not determined"))
     return StandardTest(
         kind="positioning",
         name=axis.name,
@@ -92,7 +95,7 @@ def positioning(
     )
 
 
-def _approaches(q: np.ndarray, deviation: np.ndarray, approach: np.ndarray, notes: list[str]) -> Approaches:
+def _approaches(q: np.ndarray, deviation: np.ndarray, approach: np.ndarray, notes: list[Message]) -> Approaches:
     """Return the deviations as tables, with as many cycles as every target has."""
     rounded = np.round(q, DECIMALS)
     targets = np.unique(rounded)
@@ -101,16 +104,16 @@ def _approaches(q: np.ndarray, deviation: np.ndarray, approach: np.ndarray, note
     sides = [side for side in both if counts[side].any()]
     if len(sides) == 2 and np.count_nonzero((counts[1.0] > 0) & (counts[-1.0] > 0)) < 2:
         sides = [max(sides, key=lambda side: np.count_nonzero(counts[side]))]
-        notes.append("approaches from the other direction are left out: fewer than two targets have both")
+        notes.append(Message("approaches from the other direction are left out: fewer than two targets have both"))
     keep = np.all([counts[side] > 0 for side in sides], axis=0) if sides else np.zeros(len(targets), dtype=bool)
     if not keep.all() and keep.any():
         gone = ", ".join(f"{target:g}" for target in targets[~keep])
-        notes.append(f"targets without all directions of approach are left out: {gone}")
+        notes.append(Message("targets without all directions of approach are left out: {gone}", gone=gone))
     if np.count_nonzero(keep) < 2:
         return targets[:0], np.zeros((0, 0)), np.zeros((0, 0))
     cycles = min(int(counts[side][keep].min()) for side in sides)
     if any(counts[side][keep].max() > cycles for side in sides):
-        notes.append(f"{cycles} approaches of each target are used; some targets have more")
+        notes.append(Message("{cycles} approaches of each target are used; some targets have more", cycles=cycles))
     tables = {
         side: np.array([of[:cycles] for of, kept in zip(both[side], keep, strict=True) if kept])
         if side in sides
@@ -182,17 +185,22 @@ def straightness_tests(
     targets, which, visits = np.unique(np.round(run.positions[:, 0], DECIMALS), return_inverse=True, return_counts=True)
     across = across_axis_um(run, frame, machine)
     if len(targets) < 3:
-        raise NotPossible("fewer than three positions")
+        raise NotPossible(Message("fewer than three positions"))
     axis = machine.axes[run.axes[0]].name
     u = rms_um(u_mm)
     u_mean = u / float(np.sqrt(visits.min()))
     for name, deviation in across.items():
         mean = np.bincount(which, deviation) / visits
         found = straightness(targets, mean, name=name, u_um=u_mean if np.isfinite(u_mean) else None)
-        remarks = [f"directions {frame.known}"] if run.read.all() else ["directions as the columns of the table"]
+        remarks = (
+            [frame.known] if run.read.all() and frame.known else [Message("directions as the columns of the table")]
+        )
         if visits.max() > 1:
             remarks.append(
-                f"mean of all readings at a position, at least {visits.min()}, from all directions of approach"
+                Message(
+                    "mean of all readings at a position, at least {count}, from all directions of approach",
+                    count=visits.min(),
+                )
             )
         ends = dict(zip((str(line) for line in LINES), CODES, strict=True))
         values = tuple(
@@ -231,16 +239,16 @@ def squareness_tests(found: Sequence[tuple[MeasuredRun, Straightness]], machine:
             names = tuple(axis.name for axis in axes)
             runs = zip(names, (run, other_run), strict=True)
             place = joined("; ", [joined(" ", [n, place_of(one)]) for n, one in runs])
-            remark = "the station's frame must not have moved between the two runs"
+            remark = Message("the station's frame must not have moved between the two runs")
             yield StandardTest("squareness", name, SQUARENESS, names, place, values, (remark,), lines[0])
 
 
 # --- Angular error motions of a linear axis by ISO 230-1, from the angles that a level or an autocollimator reads
 
-ANGULAR: Final = "ISO 230-1:2012, 3.4.16 and 8.4"
-NOT_VERIFIED: Final = (
-    "the angular error is the largest minus the smallest deviation over both directions, without removing a slope; the text of the "
-    "standard was not available to check this"
+ANGULAR: Final = Message("ISO 230-1:2012, 3.4.16 and 8.4")
+NOT_VERIFIED: Final = Message(
+    "the angular error is the largest minus the smallest deviation over both directions, without removing a "
+    "slope; the text of the standard was not available to check this"
 )
 BLIND: Final = 1e-6
 """Share of the rotation about the station's z, which is not read, up to which a direction counts as read."""
@@ -252,17 +260,19 @@ def angular_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Itera
     target, station = carried_sides(run, axis)
     if not axis.linear or target == station:
         raise NotPossible(
-            f"the angles do not show {axis.name}" if axis.linear else "angular errors are those of linear axes"
+            Message("the angles do not show {name}", name=axis.name)
+            if axis.linear
+            else Message(Message("angular errors are those of linear axes"))
         )
     if not run.read[:2].all():
-        raise NotPossible("one of the two angles was not read in every row")
+        raise NotPossible(Message("one of the two angles was not read in every row"))
     approach, derived = directions(run)
     if not np.all(approach):
-        raise NotPossible(f"the direction of approach of {axis.name} is unknown in some rows")
+        raise NotPossible(Message("the direction of approach of {name} is unknown in some rows", name=axis.name))
     found = {f"E_{letter}{axis.name}": angle for letter, angle in _about_machine_axes(run).items()}
     if not found:
-        raise NotPossible("the station's pose has no axis of rotation parallel to an axis of the machine")
-    known = "as given by the station's pose" if np.isfinite(run.data.station_pose[0]).all() else SAME_AS_MACHINE
+        raise NotPossible(Message("the station's pose has no axis of rotation parallel to an axis of the machine"))
+    known = AS_GIVEN if np.isfinite(run.data.station_pose[0]).all() else SAME_AS_MACHINE
     u = rms_um(u_mm[:, :2])
     position = np.round(run.positions[:, 0], DECIMALS)
     visits = np.unique(np.stack([position, approach]), axis=1, return_counts=True)[1]
@@ -280,8 +290,8 @@ def angular_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Itera
             for sign, key, value, words in rows
             if value is not None
         )
-        remarks = [NOT_VERIFIED, f"directions {known}", *(f"not a full test: {text}" for text in error.shortfalls)]
-        remarks += ["direction of approach from the order of the readings"] if derived else []
+        remarks = [NOT_VERIFIED, known, *(Message("not a full test: {text}", text=text) for text in error.shortfalls)]
+        remarks += [Message("direction of approach from the order of the readings")] if derived else []
         yield StandardTest("angular error", name, ANGULAR, (axis.name,), place_of(run), values, tuple(remarks), error)
 
 

@@ -37,7 +37,7 @@ from twin.standards.iso230_1 import AngularError, Straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
 from twin.standards.iso230_3 import DriftSeries
 from twin.standards.iso230_4 import CircularTest, RotaryMotion
-from twin.standards.result import SENTENCES, WORDS, EvaluationResult, StandardTest
+from twin.standards.result import FEW_TESTS, SENTENCES, WORDS, EvaluationResult, StandardTest, grouped_remarks
 
 BESIDE: Final[dict[str, Any]] = {"loc": "upper left", "frameon": False, "borderaxespad": 0.0, "fontsize": 9}
 """Options of a legend to the right of its plot."""
@@ -60,17 +60,20 @@ def plot_positioning(result: Positioning, *, title: str = "") -> Figure:
         plot.plot(target, middle + two_s, **edge, label=f"x̄{arrow} ± 2s{arrow}")
         plot.plot(target, middle - two_s, **edge)
         lines = plot.plot(target, runs[order], color=colour, linewidth=0, marker=marker, markersize=3.5, alpha=0.55)
-        lines[0].set_label(f"runs {arrow} ({result.cycles})")
-        plot.plot(target, middle, color=colour, linewidth=1.8, linestyle=style, label=f"mean x̄{arrow}")
-    plot.plot(target, result.mean[order], color=BOTH, linewidth=1.2, linestyle=":", label="mean of both x̄")
+        lines[0].set_label(say("runs {arrow} ({count})", arrow=arrow, count=result.cycles))
+        plot.plot(target, middle, color=colour, linewidth=1.8, linestyle=style, label=say("mean x̄{arrow}", arrow=arrow))
+    plot.plot(target, result.mean[order], color=BOTH, linewidth=1.2, linestyle=":", label=say("mean of both x̄"))
     _mark_values(plot, result)
-    heading = f"Axis {result.axis}: positioning" if result.axis else "Positioning"
-    plot.set_title(title or f"{heading} by ISO 230-2:2014", loc="left", fontweight="bold")
-    plot.set(xlabel=f"target position [{readable(result.target_unit)}]", ylabel=f"deviation, actual − target [{unit}]")
+    heading = say("Axis {axis}: positioning", axis=result.axis) if result.axis else say("Positioning")
+    plot.set_title(title or say("{heading} by ISO 230-2:2014", heading=heading), loc="left", fontweight="bold")
+    plot.set(
+        xlabel=say("target position [{unit}]", unit=readable(result.target_unit)),
+        ylabel=say("deviation, actual − target [{unit}]", unit=unit),
+    )
     plot.legend(bbox_to_anchor=(1.14, 1.0), **BESIDE)
     _write_values(plot, result, unit)
     if result.shortfalls:
-        text = "Not by the standard (4.3): " + "; ".join(result.shortfalls)
+        text = say("Not by the standard (4.3): {reasons}", reasons=joined("; ", result.shortfalls))
         figure.text(0.01, 0.01, text, color=BACKWARD, fontsize=8)
     return figure
 
@@ -86,11 +89,16 @@ def plot_unidirectional(result: UnidirectionalPositioning, *, title: str = "") -
     if np.isfinite(two_s).all():
         plot.fill_between(target, mean - two_s, mean + two_s, color=colour, alpha=0.15, linewidth=0, label="± 2s")
     runs = plot.plot(target, result.deviations[order], color=colour, linewidth=0, marker=marker, markersize=3.5)
-    runs[0].set_label(f"runs {arrow} ({result.deviations.shape[1]})")
-    plot.plot(target, mean, color=colour, linewidth=1.8, label=f"mean x̄{arrow}")
-    plot.set_title(title or f"Axis {result.axis}: positioning by ISO 230-2:2014", loc="left", fontweight="bold")
+    runs[0].set_label(say("runs {arrow} ({count})", arrow=arrow, count=result.deviations.shape[1]))
+    plot.plot(target, mean, color=colour, linewidth=1.8, label=say("mean x̄{arrow}", arrow=arrow))
+    plot.set_title(
+        title or say("Axis {axis}: positioning by ISO 230-2:2014", axis=result.axis), loc="left", fontweight="bold"
+    )
     unit = readable(result.unit)
-    plot.set(xlabel=f"target position [{readable(result.target_unit)}]", ylabel=f"deviation, actual − target [{unit}]")
+    plot.set(
+        xlabel=say("target position [{unit}]", unit=readable(result.target_unit)),
+        ylabel=say("deviation, actual − target [{unit}]", unit=unit),
+    )
     plot.legend(bbox_to_anchor=(1.01, 1.0), **BESIDE)
     return figure
 
@@ -116,7 +124,7 @@ def _write_values(plot: Axes, result: Positioning, unit: str) -> None:
             }
             x = 1.15 + 0.095 * column + 0.02 * (column > 0)
             plot.text(x, 0.46 - 0.058 * i, text, transform=plot.transAxes, **looks)
-    plot.text(1.15, 0.52, f"values in {unit}", transform=plot.transAxes, color=RUN, fontsize=9)
+    plot.text(1.15, 0.52, say("values in {unit}", unit=unit), transform=plot.transAxes, color=RUN, fontsize=9)
 
 
 def _mark_values(plot: Axes, result: Positioning) -> None:
@@ -154,31 +162,36 @@ def plot_straightness(result: Straightness, *, title: str = "") -> Figure:
     style_axes(above)
     style_axes(below)
     position, axis = result.position_mm, result.name[-1:]
-    above.plot(position, result.deviation_um, color=RUN, linewidth=0.8, marker="o", markersize=4, label="measured")
+    above.plot(position, result.deviation_um, color=RUN, linewidth=0.8, marker="o", markersize=4, label=say("measured"))
     for line, colour, style, marker in zip(
         result.lines, (FORWARD, BACKWARD, THIRD), ("-", "--", "-."), ("o", "s", "D"), strict=True
     ):
         slope = f"{line.slope_urad:.2f} µrad"
         if line.u_slope_urad is not None:
             slope = f"({line.slope_urad:.2f} ± {2.0 * line.u_slope_urad:.2f}) µrad, k = 2"
-        label = f"{line.kind}: slope {slope}".replace("-", "−")
+        label = say("{line}: slope {slope}", line=say(str(line.kind)), slope=Number(slope)).replace("-", "−")
         looks: dict[str, Any] = {"color": colour, "linestyle": style}
         above.plot(position, line.at_um(position), **looks, linewidth=1.6, label=label)
         looks |= {"linewidth": 1.2, "marker": marker, "markersize": 3.5}
-        below.plot(position, line.residual_um, **looks, label=f"{line.kind}: {line.value_um:.2f} µm")
+        below.plot(
+            position,
+            line.residual_um,
+            **looks,
+            label=say("{line}: {value:.2f} µm", line=say(str(line.kind)), value=line.value_um),
+        )
     zone = result.minimum_zone
     half, middle, contacts = zone.value_um / 2.0, zone.at_um(position), list(zone.contacts)
     above.fill_between(position, middle - half, middle + half, color=THIRD, alpha=0.12, linewidth=0)
-    carrying: dict[str, Any] = {"markerfacecolor": "none", "label": "points that define the minimum zone"}
+    carrying: dict[str, Any] = {"markerfacecolor": "none", "label": say("points that define the minimum zone")}
     plot_markers(above, position[contacts], result.deviation_um[contacts], THIRD, size=11, **carrying)
     below.axhspan(-half, half, color=THIRD, alpha=0.12, linewidth=0)
     below.axhline(0.0, color=BOTH, linewidth=0.8)
-    heading = title or f"Straightness {result.name} by ISO 230-1:2012".replace("  ", " ")
+    heading = title or say("Straightness {name} by ISO 230-1:2012", name=result.name).replace("  ", " ")
     above.set_title(heading, loc="left", fontweight="bold")
-    above.set_ylabel("measured deviation [µm]")
-    below.set(ylabel="deviation from the line [µm]", xlabel=f"{axis} position [mm]".strip())
+    above.set_ylabel(say("measured deviation [µm]"))
+    below.set(ylabel=say("deviation from the line [µm]"), xlabel=say("{axis} position [mm]", axis=axis).strip())
     above.legend(bbox_to_anchor=(1.01, 1.0), **BESIDE)
-    below.legend(bbox_to_anchor=(1.01, 1.0), **BESIDE, title="straightness error about", alignment="left")
+    below.legend(bbox_to_anchor=(1.01, 1.0), **BESIDE, title=say("straightness error about"), alignment="left")
     return figure
 
 
@@ -189,7 +202,9 @@ def plot_angular_error(result: AngularError, *, title: str = "") -> Figure:
     style_axes(plot)
     means = (result.forward_urad, result.backward_urad)
     low, high = (float(end(np.concatenate(means))) for end in (np.nanmin, np.nanmax))
-    plot.axhspan(low, high, color=THIRD, alpha=0.12, linewidth=0, label=f"range {result.value_urad:.2f} µrad")
+    plot.axhspan(
+        low, high, color=THIRD, alpha=0.12, linewidth=0, label=say("range {value:.2f} µrad", value=result.value_urad)
+    )
     for mean, value, colour, marker, arrow, style in zip(
         means,
         (result.forward_value_urad, result.backward_value_urad),
@@ -202,10 +217,15 @@ def plot_angular_error(result: AngularError, *, title: str = "") -> Figure:
         if value is not None:
             looks: dict[str, Any] = {"color": colour, "linestyle": style, "marker": marker, "markersize": 4.0}
             read = np.isfinite(mean)
-            plot.plot(result.position_mm[read], mean[read], **looks, label=f"mean {arrow}: {value:.2f} µrad")
-    heading = title or f"Angular error {result.name} by ISO 230-1:2012"
+            plot.plot(
+                result.position_mm[read],
+                mean[read],
+                **looks,
+                label=say("mean {arrow}: {value:.2f} µrad", arrow=arrow, value=value),
+            )
+    heading = title or say("Angular error {name} by ISO 230-1:2012", name=result.name)
     plot.set_title(heading, loc="left", fontweight="bold")
-    plot.set(xlabel=f"{result.name[-1:]} position [mm]".strip(), ylabel="angular deviation [µrad]")
+    plot.set(xlabel=say("{axis} position [mm]", axis=result.name[-1:]).strip(), ylabel=say("angular deviation [µrad]"))
     plot.legend(bbox_to_anchor=(1.01, 1.0), **BESIDE)
     return figure
 
@@ -213,17 +233,19 @@ def plot_angular_error(result: AngularError, *, title: str = "") -> Figure:
 def plot_error_motion(result: RotaryMotion, *, title: str = "") -> Figure:
     """Plot a rotary axis's error motion in polar coordinates: every turn, their mean, and the two circles that contain the mean."""
     unit, turns, axial = readable(result.unit), len(result.total), result.kind == "axial"
-    kind = f"{result.kind} error motion"
-    heading = f"{result.name}: {kind}" if result.name else kind.capitalize()
-    about = f"{len(result.angle_deg)} angles, {turns} turn{'' if turns == 1 else 's'}; radial scale [{unit}]"
-    figure, polar = _polar(title or f"{heading} by ISO 230-7:2015", about)
+    kind = say("axial error motion") if axial else say("radial error motion")
+    heading = f"{result.name}: {kind}" if result.name else kind[:1].upper() + kind[1:]
+    about = say(
+        "angles: {angles}, turns: {turns}; radial scale [{unit}]", angles=len(result.angle_deg), turns=turns, unit=unit
+    )
+    figure, polar = _polar(title or say("{heading} by ISO 230-7:2015", heading=heading), about)
     _turns(polar, result)
     rows = [
-        ("total", result.total_value),
-        ("synchronous", result.synchronous_value),
-        ("fundamental" if axial else "once per turn, removed", result.fundamental_value),
-        ("residual synchronous", result.residual_value),
-        ("asynchronous", result.asynchronous_value),
+        (say("total"), result.total_value),
+        (say("synchronous"), result.synchronous_value),
+        (say("fundamental") if axial else say("once per turn, removed"), result.fundamental_value),
+        (say("residual synchronous"), result.residual_value),
+        (say("asynchronous"), result.asynchronous_value),
     ]
     _list_values(figure, polar, rows, unit, 0.97)
     _bars(figure.add_axes((0.74, 0.09, 0.23, 0.2)), result, unit)
@@ -241,7 +263,7 @@ def _polar(title: str, about: str) -> tuple[Figure, Any]:
 
 def _list_values(figure: Figure, polar: Any, rows: list[tuple[str, float | None]], unit: str, right: float) -> None:
     """Write the legend and the values that are known beside polar axes."""
-    figure.text(0.70, 0.60, f"values [{unit}]", fontsize=9, color=RUN)
+    figure.text(0.70, 0.60, say("values [{unit}]", unit=unit), fontsize=9, color=RUN)
     for i, (label, value) in enumerate((label, value) for label, value in rows if value is not None):
         figure.text(0.70, 0.56 - 0.037 * i, label)
         figure.text(right, 0.56 - 0.037 * i, f"{value:.2f}", horizontalalignment="right", fontweight="bold")
@@ -256,15 +278,21 @@ def _turns(polar: PolarAxes, result: RotaryMotion) -> None:
     turns = len(result.total)
     if turns > 1:
         for i, turn in enumerate(result.total):
-            label = f"{turns} turns" if i == 0 else "_"
+            label = say("{turns} turns", turns=turns) if i == 0 else "_"
             polar.plot(angle, np.append(turn, turn[0]), color=RUN, linewidth=0.6, alpha=0.8, label=label)
     closed = np.append(result.synchronous, result.synchronous[0])
-    polar.plot(angle, closed, color=FORWARD, linewidth=1.8, label="synchronous" if turns > 1 else "measured, one turn")
+    polar.plot(
+        angle,
+        closed,
+        color=FORWARD,
+        linewidth=1.8,
+        label=say("synchronous") if turns > 1 else say("measured, one turn"),
+    )
     around = np.linspace(0.0, 2.0 * np.pi, 361)
-    mean = "mean" if result.kind == "axial" else "least-squares circle"
+    mean = say("mean") if result.kind == "axial" else say("least-squares circle")
     polar.plot(around, np.zeros(361), color=BOTH, linewidth=0.9, label=mean)
     circle: dict[str, Any] = {"color": BACKWARD, "linewidth": 1.1, "linestyle": "--"}
-    polar.plot(around, np.full(361, result.synchronous.max()), **circle, label="circles containing it")
+    polar.plot(around, np.full(361, result.synchronous.max()), **circle, label=say("circles containing it"))
     polar.plot(around, np.full(361, result.synchronous.min()), **circle)
     _radial_scale(polar, extent)
 
@@ -283,8 +311,10 @@ def _radial_scale(polar: PolarAxes, extent: float) -> None:
 
 def plot_circular(result: CircularTest, *, title: str = "") -> Figure:
     """Plot a circular test in polar coordinates: the paths of both directions about their common centre, and the nominal circle."""
-    about = f"radius {result.radius_mm:g} mm, about the centre of the least-squares circle; radial scale [µm]"
-    figure, polar = _polar(title or f"{result.name}: circular test by ISO 230-4", about)
+    about = say(
+        "radius {radius:g} mm, about the centre of the least-squares circle; radial scale [µm]", radius=result.radius_mm
+    )
+    figure, polar = _polar(title or say("{name}: circular test by ISO 230-4", name=result.name), about)
     centre = result.centre_um
     shown = [
         (arrow, path, path.radius_um - centre @ np.array([np.cos(path.angle_deg * DEG), np.sin(path.angle_deg * DEG)]))
@@ -294,10 +324,15 @@ def plot_circular(result: CircularTest, *, title: str = "") -> Figure:
     for (arrow, path, values), colour, style in zip(shown, (FORWARD, BACKWARD), ("-", "--"), strict=False):
         angle = np.append(path.angle_deg, path.angle_deg[0] + 360.0) * DEG
         polar.plot(
-            angle, np.append(values, values[0]), color=colour, linestyle=style, linewidth=1.4, label=f"path {arrow}"
+            angle,
+            np.append(values, values[0]),
+            color=colour,
+            linestyle=style,
+            linewidth=1.4,
+            label=say("path {arrow}", arrow=arrow),
         )
     around = np.linspace(0.0, 2.0 * np.pi, 361)
-    polar.plot(around, np.zeros(361), color=BOTH, linewidth=0.9, label="nominal circle")
+    polar.plot(around, np.zeros(361), color=BOTH, linewidth=0.9, label=say("nominal circle"))
     _radial_scale(polar, extent)
     rows = [("G(b)", result.G_b_um), ("H", result.H_um), ("D", result.D_um)]
     rows += [(f"G{arrow}", path.G_um) for arrow, path in result.paths]
@@ -312,8 +347,8 @@ def _bars(plot: Axes, result: RotaryMotion, unit: str) -> None:
     plot.bar([h.order for h in shown], [h.amplitude for h in shown], color=FORWARD, width=0.7)
     plot.set_xticks([h.order for h in shown])
     plot.tick_params(labelsize=8)
-    plot.set_xlabel("harmonic [periods a turn]", fontsize=8)
-    plot.set_ylabel(f"amplitude [{unit}]", fontsize=8)
+    plot.set_xlabel(say("harmonic [periods a turn]"), fontsize=8)
+    plot.set_ylabel(say("amplitude [{unit}]", unit=unit), fontsize=8)
 
 
 def _ticks(extent: float) -> list[float]:
@@ -347,15 +382,15 @@ def plot_drift(result: DriftSeries, *, title: str = "") -> Figure:
         plot = next(rest)
         for name, values in temperatures.items():
             plot.plot(hours, values, linewidth=0.9, label=name)
-        plot.set_ylabel("temperature [°C]")
+        plot.set_ylabel(say("temperature [°C]"))
     if speed is not None:
         plot = next(rest)
         plot.plot(hours, speed, color=BOTH, linewidth=1.0)
-        plot.set_ylabel("speed [rpm]")
+        plot.set_ylabel(say("speed [rpm]"))
     for plot in plots:
         _finish(plot, result)
     plots[0].set_title(title, loc="left", fontweight="bold")
-    plots[-1].set_xlabel("time [h]")
+    plots[-1].set_xlabel(say("time [h]"))
     return figure
 
 
@@ -370,9 +405,9 @@ def _displacements(plot: Axes, result: DriftSeries, hours: np.ndarray, unit: str
                 color=SERIES[k % len(SERIES)],
                 linestyle=STYLES[(target - 1) % len(STYLES)],
                 linewidth=1.1,
-                label=name if len(result.targets) == 1 else f"{name}, target {target}",
+                label=name if len(result.targets) == 1 else say("{name}, target {target}", name=name, target=target),
             )
-    plot.set_ylabel(f"{'tilt' if unit == 'urad' else 'displacement'} [{readable(unit)}]")
+    plot.set_ylabel(f"{say('tilt') if unit == 'urad' else say('displacement')} [{readable(unit)}]")
 
 
 def _finish(plot: Axes, result: DriftSeries) -> None:
@@ -450,6 +485,8 @@ def evaluation_html(result: EvaluationResult, sheet: Sheet | None = None) -> str
         shown=figure,
         unit=readable,
         grouped_notes=grouped_notes,
+        grouped_remarks=grouped_remarks,
+        few=FEW_TESTS,
         targets=_targets,
     )
 
@@ -489,7 +526,7 @@ def _plot_deviations(test: StandardTest, deviation_um: np.ndarray) -> Figure:
             number = np.arange(1, len(deviation_um) + 1)
             plot.plot(number, deviation_um[:, k], color=colour, marker=marker, markersize=3, linewidth=1.0, label=label)
     plot.set_title(say(joined(", ", [test.title, test.standard])), loc="left", fontweight="bold")
-    plot.set(xlabel="reading", ylabel="deviation from the mean [µm]")
+    plot.set(xlabel=say("reading"), ylabel=say("deviation from the mean [µm]"))
     plot.legend(bbox_to_anchor=(1.01, 1.0), loc="upper left", frameon=False)
     return drawn
 

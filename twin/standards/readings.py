@@ -278,12 +278,17 @@ def _from_order(q: np.ndarray) -> np.ndarray:
 LARGEST_ANGLE_DEG: Final = 10.0
 SLOPE_TOLERANCE: Final = 0.01
 """Difference from 1 mm per mm up to which a length is along the axis."""
-FROM_AXES: Final = "parallel to the machine's axes, found from the runs of two or more of them"
-SAME_AS_MACHINE: Final = "of the station's frame, taken as parallel to the machine's"
+AS_GIVEN: Final = Message("directions as given by the station's pose")
+FROM_AXES: Final = Message("directions parallel to the machine's axes, found from the runs of two or more of them")
+SAME_AS_MACHINE: Final = Message("directions of the station's frame, taken as parallel to the machine's")
 
 
 class NotPossible(Exception):
-    """The readings of a run do not allow an evaluation; the message says why."""
+    """The readings of a run do not allow an evaluation."""
+
+    def __init__(self, why: Message) -> None:
+        super().__init__(why)
+        self.why = why
 
 
 def reading_uncertainty_mm(data: Measurements, instrument: Instrument | None) -> np.ndarray:
@@ -310,7 +315,7 @@ class StationFrame:
     """Orientation of a station's frame in the machine frame."""
 
     rotation: np.ndarray  # (3, 3) turns readings into directions parallel to the machine's axes
-    known: str  # how it is known, in words; empty if it is unknown
+    known: Message | None  # how it is known; None if it is unknown
 
 
 def station_rotation(pose: np.ndarray) -> np.ndarray:
@@ -346,10 +351,10 @@ def station_frame(runs: Sequence[MeasuredRun], machine: Machine) -> StationFrame
     if np.linalg.matrix_rank(nominal, tol=0.5) >= 2:
         turned, _ = scipy.spatial.transform.Rotation.align_vectors(nominal, measured)
         off = np.arccos(np.clip(np.sum(turned.apply(measured) * nominal, axis=1), -1.0, 1.0)).max() / DEG
-        return StationFrame(turned.as_matrix(), FROM_AXES if off < LARGEST_ANGLE_DEG else "")
+        return StationFrame(turned.as_matrix(), FROM_AXES if off < LARGEST_ANGLE_DEG else None)
     off = np.arccos(np.clip(base @ measured[0] @ nominal[0], -1.0, 1.0)) / DEG
-    words = "as given by the station's pose" if np.isfinite(pose).all() else SAME_AS_MACHINE
-    return StationFrame(base, words if off < LARGEST_ANGLE_DEG else "")
+    words = AS_GIVEN if np.isfinite(pose).all() else SAME_AS_MACHINE
+    return StationFrame(base, words if off < LARGEST_ANGLE_DEG else None)
 
 
 def measured_direction(run: MeasuredRun) -> np.ndarray:
@@ -377,7 +382,13 @@ def along_axis_mm(run: MeasuredRun, axis: Axis, u_mm: np.ndarray) -> tuple[np.nd
             column = int(read[int(np.argmax(lengths))])
             direction[column] = np.sign(slope[column])
     if abs(length - 1.0) > SLOPE_TOLERANCE:
-        raise NotPossible(f"the readings change by {length:.3g} mm per mm of {axis.name}: they are not along the axis")
+        raise NotPossible(
+            Message(
+                "the readings change by {length:.3g} mm per mm of {name}: they are not along the axis",
+                length=length,
+                name=axis.name,
+            )
+        )
     used = direction != 0.0
     position = run.data.point_mm[:, used] @ direction[used]
     u = np.sqrt(np.sum((u_mm[:, used] * direction[used]) ** 2, axis=1))
@@ -390,13 +401,17 @@ def across_axis_um(run: MeasuredRun, frame: StationFrame, machine: Machine) -> d
     axis, direction = machine.axes[run.axes[0]], relative_direction(run, machine)
     along = int(np.argmax(np.abs(direction)))
     if abs(direction[along]) < 1.0 - SLOPE_TOLERANCE:
-        raise NotPossible(f"{axis.name} is not parallel to an axis of the machine frame, or does not move the readings")
+        raise NotPossible(
+            Message(
+                "{name} is not parallel to an axis of the machine frame, or does not move the readings", name=axis.name
+            )
+        )
     sign = 1.0 if axis.machine_direction @ direction > 0.0 else -1.0  # of the moved side's error in the readings
     points = run.data.point_mm
     if run.read.all():
         if not frame.known:
             raise NotPossible(
-                "the orientation of the station is unknown: measure a second linear axis, or give its pose"
+                Message("the orientation of the station is unknown: measure a second linear axis, or give its pose")
             )
         points = points @ frame.rotation.T
     lateral = [k for k in range(3) if k != along and np.isfinite(points[:, k]).all()]
@@ -404,11 +419,11 @@ def across_axis_um(run: MeasuredRun, frame: StationFrame, machine: Machine) -> d
         slopes = np.abs(measured_direction(run))
         lateral = [k for k in lateral if slopes[k] < SLOPE_TOLERANCE]
     if not lateral:
-        raise NotPossible("no coordinate across the travel was read")
+        raise NotPossible(Message("no coordinate across the travel was read"))
     return {f"E_{'XYZ'[k]}{axis.name}": sign * (points[:, k] - points[0, k]) * (MM / UM) for k in lateral}
 
 
-def place_of(run: MeasuredRun) -> str:
+def place_of(run: MeasuredRun) -> Message:
     """Return the positions of the axes that stand still, with target and station: ``at Y 225, Z −200; target K, station 1``."""
     rest = ", ".join(f"{name} {value:g}".replace("-", "−") for name, value in run.where.items())
     if not rest:

@@ -130,7 +130,7 @@ class EvaluatedData(Protocol):
         """The file."""
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Message, ...]:
         """Facts to know before using the result."""
 
     @property
@@ -153,7 +153,7 @@ class StandardTest:
     axes: tuple[str, ...]
     place: str  # positions of the other axes, and target and station, in words
     values: tuple[StandardValue, ...]
-    remarks: tuple[str, ...]  # requirements of the standard that are not met, assumptions, and what is not verified
+    remarks: tuple[Message, ...]  # requirements of the standard that are not met, assumptions, and what is not verified
     detail: Detail  # the complete result of the evaluation; for a kinematic test the (n, 3) deviations in µm
 
     @property
@@ -163,7 +163,7 @@ class StandardTest:
         return main or self.values
 
     @property
-    def title(self) -> str:
+    def title(self) -> Message:
         """Name and kind: ``X: positioning``."""
         return Message("{name}: {kind}", name=self.name, kind=KINDS.get(self.kind, self.kind))
 
@@ -188,8 +188,8 @@ class StandardTest:
 class NotEvaluated:
     """A test that the table does not allow."""
 
-    test: str  # the test, with its axes if it is one of several
-    why: str
+    test: Message  # the test, with its axes if it is one of several
+    why: Message
 
 
 @final
@@ -260,8 +260,8 @@ class EvaluationResult(DisplayedResult):
     machine: str
     tests: tuple[StandardTest, ...]
     not_evaluated: tuple[NotEvaluated, ...]  # the tests that were not, with the reason
-    assumptions: tuple[str, ...]
-    uncertainty: str  # source of the readings' uncertainty, in words; empty if unknown
+    assumptions: tuple[Message, ...]
+    uncertainty: Message  # source of the readings' uncertainty, empty if unknown
     checks: tuple[ToleranceCheck, ...]  # the tolerances asked for; empty if none were
     warnings: tuple[SourceWarning, ...]  # where the readings come from
 
@@ -319,10 +319,13 @@ class EvaluationResult(DisplayedResult):
                 subsequent_indent=INDENT,
             )
             for remark in test.remarks if count <= FEW_TESTS else ():
-                lines += wrap(remark, WIDTH, initial_indent="  ", subsequent_indent="    ")
+                lines += wrap(say(remark), WIDTH, initial_indent="  ", subsequent_indent="    ")
         for heading, entries in (
-            (Message("Remarks:"), _grouped_remarks(self.tests) if count > FEW_TESTS else []),
-            (Message("Not evaluated:"), [f"{one.test}: {one.why}" for one in self.not_evaluated]),
+            (Message("Remarks:"), grouped_remarks(self.tests) if count > FEW_TESTS else []),
+            (
+                Message("Not evaluated:"),
+                [Message("{test}: {why}", test=one.test, why=one.why) for one in self.not_evaluated],
+            ),
             (Message("Assumptions:"), self.assumptions),
             (Message("Uncertainty:"), [self.uncertainty] if self.uncertainty else []),
             (Message("Notes:"), [*self.data.notices, *grouped_notes(self.data.set_aside)]),
@@ -386,14 +389,24 @@ def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTe
     return tuple(checks)
 
 
-def _grouped_remarks(tests: Sequence[StandardTest]) -> list[str]:
+def grouped_remarks(tests: Sequence[StandardTest]) -> list[Message]:
     """Return each remark once, with the tests to which it applies and their number."""
-    grouped: dict[str, dict[str, int]] = {}
+    grouped: dict[Message, dict[Message, int]] = {}
     for test in tests:
         for remark in test.remarks:
             titles = grouped.setdefault(remark, {})
             titles[test.title] = titles.get(test.title, 0) + 1
     return [
-        f"{', '.join(title if count == 1 else f'{title} ({count} runs)' for title, count in titles.items())}: {remark}"
+        Message(
+            "{tests}: {remark}",
+            tests=joined(
+                ", ",
+                [
+                    title if count == 1 else Message("{title} ({count} runs)", title=title, count=count)
+                    for title, count in titles.items()
+                ],
+            ),
+            remark=remark,
+        )
         for remark, titles in grouped.items()
     ]

@@ -42,7 +42,7 @@ def kinematic_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Stan
     if float(np.abs(nominal).max()) > STANDS_STILL_MM:
         return None
     if not run.read.any():
-        raise NotPossible("no coordinate was read in every row")
+        raise NotPossible(Message("no coordinate was read in every row"))
     constant = bool(np.ptp(data.point_mm[:, run.read], axis=0).max() == 0.0)
     length_only = run.read.tolist() == [True, False, False]
     readings = data.point_mm - data.point_mm.mean(axis=0)
@@ -50,15 +50,20 @@ def kinematic_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Stan
         readings = readings - nominal
     deviation = np.where(run.read, readings, np.nan) * (MM / UM)
     remarks = [
-        "what was evaluated: the range (largest minus smallest) of the deviation in each direction of the station's frame; the name of "
-        "the test and the quantity are not verified against the text of the standard",
-        "the directions are those of the station's frame; the zero of the readings and the place of the target have no influence"
+        Message(
+            "what was evaluated: the range (largest minus smallest) of the deviation in each direction of the "
+            "station's frame; the name of the test and the quantity are not verified against the text of the standard"
+        ),
+        Message(
+            "the directions are those of the station's frame; the zero of the readings and the place of the target "
+            "have no influence"
+        )
         if np.isfinite(data.place_mm[0]).all()
-        else "the place of the target is the one that keeps the nominal point most nearly at rest",
+        else Message("the place of the target is the one that keeps the nominal point most nearly at rest"),
     ]
     if constant:
         remarks.append(
-            "the readings are constant: the deviations are those of the recorded axis positions (touch probe)"
+            Message("the readings are constant: the deviations are those of the recorded axis positions (touch probe)")
         )
     columns = ("length",) if length_only else ("x", "y", "z")
     values = []
@@ -66,7 +71,11 @@ def kinematic_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Stan
         if run.read[k]:
             u = u_mm[:, k]
             u_um = float(np.sqrt(np.mean(u**2))) * (MM / UM)
-            words = f"range of the deviation, {'length' if length_only else f'{name} of the station'}"
+            words = (
+                Message("range of the deviation, length")
+                if length_only
+                else Message("range of the deviation, {name} of the station", name=name)
+            )
             values.append(
                 StandardValue(f"range {name}", f"range_{name}", float(np.ptp(deviation[:, k])), "um", words, float(np.sqrt(2.0) * u_um))
             )  # fmt: skip
@@ -111,11 +120,13 @@ def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterat
     axis = machine.axes[run.axes[0]]
     theta = run.positions[:, 0]
     if not turns_readings(run, axis):
-        raise NotPossible("turns neither the target nor the station, or both: the readings do not show it")
+        raise NotPossible(Message("turns neither the target nor the station, or both: the readings do not show it"))
     if not run.read.all():
-        raise NotPossible("needs three coordinates of a target; lengths alone give no angle")
+        raise NotPossible(Message("needs three coordinates of a target; lengths alone give no angle"))
     if float(np.ptp(theta)) < LEAST_ARC_DEG:
-        raise NotPossible(f"turns by {np.ptp(theta):g}° only; at least {LEAST_ARC_DEG:g}° are needed")
+        raise NotPossible(
+            Message("turns by {turn:g}° only; at least {least:g}° are needed", turn=np.ptp(theta), least=LEAST_ARC_DEG)
+        )
     u = float(np.sqrt(np.nanmean(u_mm**2))) if np.isfinite(u_mm).any() else float("nan")
     points = run.data.point_mm
     spread = float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
@@ -125,13 +136,18 @@ def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterat
     radius_mm, radial_mm, axial_mm, angle_deg = _circle(points, theta)
     deviation = angle_deg - theta
     deviation = (deviation - deviation[0] + 180.0) % 360.0 - 180.0
-    remarks = [f"angles of one target at {radius_mm:.1f} mm from the axis, about its least-squares circle"]
-    remarks.append("deviations count from the first reading")
+    remarks = [
+        Message(
+            "angles of one target at {radius_mm:.1f} mm from the axis, about its least-squares circle",
+            radius_mm=radius_mm,
+        )
+    ]
+    remarks.append(Message("deviations count from the first reading"))
     yield positioning(run, machine, deviation * (DEG / URAD), u / radius_mm / URAD, remarks)
-    at = f"target at {radius_mm:.1f} mm from the axis"
+    at = Message("target at {radius_mm:.1f} mm from the axis", radius_mm=radius_mm)
     for name, values, kind, remark in (
-        (f"{axis.name} radial", radial_mm, "radial", f"rotating sensitive direction: {at}"),
-        (f"{axis.name} face", axial_mm, "axial", f"face error motion (axial and tilt together): {at}"),
+        (f"{axis.name} radial", radial_mm, "radial", Message("rotating sensitive direction: {at}", at=at)),
+        (f"{axis.name} face", axial_mm, "axial", Message("face error motion (axial and tilt together): {at}", at=at)),
     ):
         motion = _motion(theta, values * (MM / UM), kind, name)  # type: ignore[arg-type]
         if motion is not None:
@@ -154,10 +170,10 @@ def _on_axis(run: MeasuredRun, machine: Machine, u: float) -> Iterator[StandardT
         motion = _motion(run.positions[:, 0], run.data.point_mm[:, k] * (MM / UM), kind, f"E_{letter}{axis.name}")
         if motion is not None:
             found += 1
-            remark = "directions of the station's frame, taken as parallel to the machine's; centred target"
+            remark = Message("directions of the station's frame, taken as parallel to the machine's; centred target")
             yield _motion_test(run, motion, axis.name, u * (MM / UM), (remark,))
     if not found:
-        raise NotPossible(f"angles do not cover a turn with gaps below {WIDEST_GAP_DEG:g}°")
+        raise NotPossible(Message("angles do not cover a turn with gaps below {gap:g}°", gap=WIDEST_GAP_DEG))
 
 
 def _circle(points: np.ndarray, theta: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
@@ -188,7 +204,9 @@ def _motion(theta: np.ndarray, values: np.ndarray, kind: Literal["radial", "axia
     return error_motion(angles, readings, kind, name=name)
 
 
-def _motion_test(run: MeasuredRun, motion: RotaryMotion, axis: str, u: float, remarks: tuple[str, ...]) -> StandardTest:
+def _motion_test(
+    run: MeasuredRun, motion: RotaryMotion, axis: str, u: float, remarks: tuple[Message, ...]
+) -> StandardTest:
     range_u = float(np.sqrt(2.0) * u)
     rows = (
         (Message("total"), "total", motion.total_value, Message("total error motion")),
@@ -218,10 +236,12 @@ def _motion_test(run: MeasuredRun, motion: RotaryMotion, axis: str, u: float, re
 CIRCULAR: Final = Message("ISO 230-4:2005 and 2022, clause 3 (H: 1996)")
 LARGEST_OFFSET_MM: Final = 1.0
 """Difference of the mean length from the nominal radius up to which a length is absolute."""
-BAR_CENTRE: Final = (
+BAR_CENTRE: Final = Message(
     "radii are the lengths of the table (ball bar); its centre pivot is taken to be at the circle's centre"
 )
-NOT_VERIFIED: Final = "definitions from public abstracts and publications, not checked against the text of the standard"
+NOT_VERIFIED: Final = Message(
+    "definitions from public abstracts and publications, not checked against the text of the standard"
+)
 
 
 def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest:
@@ -239,8 +259,11 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Standar
     absolute = abs(float(radius.mean()) - nominal) < LARGEST_OFFSET_MM
     if not absolute:
         remarks.append(
-            f"the mean length differs from the nominal radius by {radius.mean() - nominal:.3f} mm: lengths are taken as relative, "
-            "and radial deviations F and D are not determined"
+            Message(
+                "the mean length differs from the nominal radius by {difference:.3f} mm: lengths are taken as relative, and "
+                "radial deviations F and D are not determined",
+                difference=radius.mean() - nominal,
+            )
         )
         radius = radius - radius.mean() + nominal
     step = _travel(angle, run.part)
@@ -248,9 +271,9 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Standar
     try:
         found = circular_test(nominal, *paths, name="".join(names))
     except InputError as error:
-        raise NotPossible(error.what) from error
+        raise NotPossible(Message("{reason}", reason=error.what)) from error
     found = found if absolute else replace(found, D_um=None)
-    remarks += [f"not a full test: {text}" for text in found.shortfalls]
+    remarks += [Message("not a full test: {text}", text=text) for text in found.shortfalls]
     feed = run.data.feed_mm_min
     place = (
         place_of(run)
@@ -273,7 +296,7 @@ def _radii(run: MeasuredRun, centre: np.ndarray) -> np.ndarray:
     The alignment has no scale and no shear, which would hide squareness and scale errors.
     """
     if not run.read.all():
-        raise NotPossible("needs three coordinates, or a length in x_mm alone")
+        raise NotPossible(Message("needs three coordinates, or a length in x_mm alone"))
     points, commands = run.data.point_mm, run.positions - centre
     flat = np.column_stack([commands, np.zeros(len(commands))])
     offset, middle = points.mean(axis=0), flat.mean(axis=0)

@@ -29,6 +29,7 @@ JobOption = Annotated[
 ]
 LogoOption = Annotated[Path | None, typer.Option("--logo", help="PNG or SVG picture for the page, up to 512 KiB.")]
 LangOption = Annotated[Language, typer.Option("--lang", help="Language of the page and of the printed text.")]
+PrintedOption = Annotated[Language, typer.Option("--lang", help="Language of the printed text.")]
 PdfOption = Annotated[
     Path | None,
     typer.Option("--pdf", help="Print the page to this PDF file, through Chromium, Chrome or Edge (or TWIN_BROWSER)."),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
@@ -11,8 +12,8 @@ import numpy as np
 
 from twin._common.bundled import find_program
 from twin._common.errors import InputError
+from twin._common.messages import Message, Quoted, joined, say
 from twin._common.records import json_form
-from twin._common.units import count_with_noun
 from twin.compensation.programs.block_conditions import durations_s
 from twin.compensation.programs.follow import follow_sections
 from twin.compensation.programs.motions import LostBlock, ToolPath, by_reason, machine_hints
@@ -28,12 +29,24 @@ from twin.nc.dialect import Dialect
 from twin.nc.inline import errors_in_files
 
 Verdict = Literal["ready", "in part", "refused"]
+VERDICTS: Final[dict[Verdict, Message]] = {
+    "ready": Message("ready"),
+    "in part": Message("in part"),
+    "refused": Message("refused"),
+}
+NOUNS: Final = {
+    "rapid": (Message("1 rapid"), partial(Message, "{count:,} rapids")),
+    "linear": (Message("1 straight feed"), partial(Message, "{count:,} straight feeds")),
+    "arc": (Message("1 arc"), partial(Message, "{count:,} arcs")),
+    "hole": (Message("1 hole"), partial(Message, "{count:,} holes")),
+}
+"""Kinds of blocks, one and several."""
 _MODES: Final = {
-    "tcp": "tool centre point control",
-    "planes": "tilted planes",
-    "beside": "cutter radius compensation, or corners and curves left to the control",
-    "cycles": "drilling cycles",
-    "written_out": "subprograms, loops or jumps written out",
+    "tcp": Message("tool centre point control"),
+    "planes": Message("tilted planes"),
+    "beside": Message("cutter radius compensation, or corners and curves left to the control"),
+    "cycles": Message("drilling cycles"),
+    "written_out": Message("subprograms, loops or jumps written out"),
 }
 
 
@@ -104,58 +117,72 @@ class ProgramCheck(Result):
         return "in part" if beyond or any(one.feeds for one in self.left) else "ready"
 
     @property
-    def brief(self) -> str:
+    def brief(self) -> Message:
         """Summary in one line."""
         if self.error is not None:
-            lacks = f"the machine lacks {' '.join(self.lacks)}; " if self.lacks else ""
-            return f"refused: {lacks}{self.error}"
-        parts = [f"{self.verdict}: {self._language}", *self._counted, *(_MODES[use] for use in self.uses)]
+            lacks = Message("the machine lacks {names}; ", names=" ".join(self.lacks)) if self.lacks else ""
+            return Message("refused: {lacks}{error}", lacks=lacks, error=Quoted(str(self.error)))
+        head = joined(": ", [VERDICTS[self.verdict], self._language])
+        parts = [head, *self._counted, *(_MODES[use] for use in self.uses)]
         beyond = sorted({line for axis in self.travel.values() for line in axis.beyond})
         if beyond:
             names = " ".join(name for name, axis in self.travel.items() if axis.beyond)
-            parts.append(
-                f"{count_with_noun(len(beyond), 'block')} beyond the range of {names} ({line_numbers(beyond)})"
-            )
+            parts.append(Message("beyond the range of {names}: {lines}", names=names, lines=line_numbers(beyond)))
         feeds = sum(one.feeds for one in self.left)
         if feeds:
-            parts.append(f"{count_with_noun(feeds, 'feed')} left as written")
-        return ", ".join(parts)
+            parts.append(Message("feeds left as written: {count}", count=feeds))
+        return joined(", ", parts)
 
     @property
     def _language(self) -> str:
         return f"{self.language} ({self.control})" if self.control else self.language
 
     @property
-    def _counted(self) -> list[str]:
-        nouns = {"rapid": "rapid", "linear": "straight feed", "arc": "arc", "hole": "hole"}
-        return [count_with_noun(number, nouns[kind]) for kind, number in self.blocks.items() if number]
+    def _counted(self) -> list[Message]:
+        return [
+            NOUNS[kind][0] if number == 1 else NOUNS[kind][1](count=number)
+            for kind, number in self.blocks.items()
+            if number
+        ]
 
     def to_text(self) -> str:
         """Return the whole examination as text."""
         needs = [
-            f"  {title:<14}{', '.join(f'{name} (line {line})' for name, line in found.items())}"
-            for title, found in (("tools", self.tools), ("work offsets", self.offsets))
+            f"  {say(title):<14}"
+            + ", ".join(say(Message("{name} (line {line})", name=name, line=line)) for name, line in found.items())
+            for title, found in ((Message("tools"), self.tools), (Message("work offsets"), self.offsets))
             if found
         ]
         if self.error is not None:
-            return "\n".join([f"{self.program}: {self.brief}", *needs, ""])
+            return "\n".join([f"{self.program}: {say(self.brief)}", *needs, ""])
         minutes = (
-            "unknown: a feed is missing" if self.time_s is None else f"{self.time_s / 60.0:.1f} min by feed and path"
+            Message("unknown: a feed is missing")
+            if self.time_s is None
+            else Message("{minutes:.1f} min by feed and path", minutes=self.time_s / 60.0)
         )
+        lines = Message("{language}, {count} lines", language=self._language, count=self.lines)
+        facts = (
+            (Message("language"), lines),
+            (Message("blocks"), joined(", ", self._counted)),
+            (Message("time"), minutes),
+        )
+        uses = [Message("{use}, from line {line} on", use=_MODES[use], line=line) for use, line in self.uses.items()]
         out = [
-            f"{self.program}: {self.verdict}",
-            f"  language      {self._language}, {self.lines} lines",
-            f"  blocks        {', '.join(self._counted)}",
-            f"  time          {minutes}",
+            f"{self.program}: {say(VERDICTS[self.verdict])}",
+            *(f"  {say(title):<14}{say(text)}" for title, text in facts),
             *needs,
-            *(f"  {_MODES[use]}, from line {line} on" for use, line in self.uses.items()),
-            *(f"  {'' if i else 'set-up':<14}{one.sentence}" for i, one in enumerate(self.frames)),
+            *(f"  {say(text)}" for text in uses),
+            *(f"  {'' if i else say('set-up'):<14}{say(one.sentence)}" for i, one in enumerate(self.frames)),
         ]
         for name, axis in self.travel.items():
-            beyond = f"; beyond its range in {line_numbers(axis.beyond)}" if axis.beyond else ""
-            out.append(f"  {name:<14}{axis.low:.3f} to {axis.high:.3f}{beyond}")
-        out += [f"  left as written: {line_numbers(one.lines)}: {one.reason}" for one in self.left]
-        return "\n".join([*out, *(f"  {text}" for text in grouped(self.notes)), ""])
+            beyond = Message("; beyond its range in {lines}", lines=line_numbers(axis.beyond)) if axis.beyond else ""
+            span = Message("{low:.3f} to {high:.3f}{beyond}", low=axis.low, high=axis.high, beyond=beyond)
+            out.append(f"  {name:<14}{say(span)}")
+        left = [
+            Message("left as written: {lines}: {reason}", lines=line_numbers(one.lines), reason=one.reason)
+            for one in self.left
+        ]
+        return "\n".join([*out, *(f"  {say(text)}" for text in (*left, *grouped(self.notes))), ""])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON report."""

@@ -14,6 +14,7 @@ from typing import Any, Final, Literal, NamedTuple, final
 import numpy as np
 
 from twin._common.arrays import distinct
+from twin._common.messages import Message, joined
 from twin._common.units import count_with_noun
 from twin.compensation.programs.backlash import ApproachTracker
 from twin.compensation.programs.comparison import Commands
@@ -109,10 +110,12 @@ class ShortfallTally:
         return tuple(sorted(collected, key=lambda shortfall: -len(shortfall.lines)))
 
 
-def line_numbers(lines: Sequence[int]) -> str:
+def line_numbers(lines: Sequence[int]) -> Message:
     """Return line numbers as text: ``line 3``; ``lines 3, 5, 7 … and 1,810 more``."""
-    more = f" … and {len(lines) - LINES_SHOWN:,} more" if len(lines) > LINES_SHOWN else ""
-    return f"line{'' if len(lines) == 1 else 's'} {', '.join(str(line) for line in lines[:LINES_SHOWN])}{more}"
+    if len(lines) == 1:
+        return Message("line {line}", line=str(lines[0]))
+    more = Message(" … and {count:,} more", count=len(lines) - LINES_SHOWN) if len(lines) > LINES_SHOWN else ""
+    return Message("lines {lines}{more}", lines=", ".join(map(str, lines[:LINES_SHOWN])), more=more)
 
 
 # --- Work offsets and tools that a program uses, as the report lists them -------------------------
@@ -139,17 +142,32 @@ class FrameUse:
     @property
     def sentence(self) -> str:
         """Statement in the report."""
-        tool = f"tool {self.tool}, {self.tool_length_mm:g} mm" if self.tool else f"tool of {self.tool_length_mm:g} mm"
-        name = (
-            f"{self.offset}{' (assumed: none selected yet)' if self.assumed else ''}" if self.offset else "work offset"
+        length = self.tool_length_mm
+        tool = (
+            Message("tool {name}, {length:g} mm", name=self.tool, length=length)
+            if self.tool
+            else Message("tool of {length:g} mm", length=length)
         )
+        assumed = Message(" (assumed: none selected yet)") if self.assumed else ""
+        name = Message("{name}{assumed}", name=self.offset, assumed=assumed) if self.offset else Message("work offset")
         added = " ".join(f"{axis} {value:.6g}" for axis, value in self.work_offset.items())
         at = " ".join(f"{axis} {value:.6g}°" for axis, value in self.tilted_deg.items())
-        tilted = f"; tilted plane, rotary axes as the control positions them ({at}), not corrected" if at else ""
+        tilted = (
+            Message("; tilted plane, rotary axes as the control positions them ({at}), not corrected", at=at)
+            if at
+            else ""
+        )
         by = " ".join(f"{axis} {value:.6g}" for axis, value in self.shift.items() if value)
-        shifted = f"; shifted by the program: {by}" if by else ""
-        turned = "; turned by the program" if self.turned else ""
-        return f"from line {self.line}: {tool}; {name} with tool length: {added or 'none'}{tilted}{shifted}{turned}"
+        shifted = Message("; shifted by the program: {by}", by=by) if by else ""
+        turned = Message("; turned by the program") if self.turned else ""
+        return Message(
+            "from line {line}: {tool}; {name} with tool length: {added}{more}",
+            line=self.line,
+            tool=tool,
+            name=name,
+            added=added or Message("none"),
+            more=joined("", [tilted, shifted, turned]),
+        )
 
 
 def frame_uses(sections: Sequence[Section], number_of: Callable[[int], int]) -> tuple[FrameUse, ...]:

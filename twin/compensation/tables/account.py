@@ -334,7 +334,9 @@ def _section(made: ControlTables, paths: Sequence[Path]) -> ControlSection:
     """Return the ``control:`` section of the calibration for these table files."""
     request = made.request
     return ControlSection(
-        "uncorrected", tuple(TableEntry.of(path, request.kind, request.carried_classes) for path in paths)
+        "uncorrected",
+        tuple(TableEntry.of(path, request.kind, request.carried_classes) for path in paths),
+        tool_length_mm=made.required.tool_length_mm,
     )
 
 

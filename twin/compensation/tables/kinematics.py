@@ -253,7 +253,9 @@ def write_kinematics(
         written = Calibration.load(folder / CALIBRATION, errors.machine).control
         old = () if written is None else written.tables
     same = tables is None and errors.control is not None
-    section = ControlSection(errors.control.errors_are if same and errors.control else "uncorrected", old, entry)
+    section = ControlSection(
+        errors.control.errors_are if same and errors.control else "uncorrected", old, entry, (), length
+    )
     found = KinematicsAccount(kinematics, stages_of(required, known, section), errors, length, account)
     write_atomic(folder / README, found.to_text())
     what = f"the control has the kinematics {kinematics.form.name}"

@@ -13,6 +13,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, printable
 from twin._common.files import other_kind, read_bytes, scratch_folder, write_atomic
+from twin._common.messages import Message
 from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
 from twin._common.records import TIME
 from twin._common.units import count_with_noun
@@ -312,7 +313,11 @@ def _finished(applied: Applied, plan: PlanPoints | None, proposal: Proposal | No
     assumptions = () if proposal is None else tuple(proposal.assumptions)
     notes = [] if proposal is None else list(proposal.notes)
     notes += grouped_notes(
-        RowNote(applied.layout.rows[row][0], f"set aside, {why}", "set aside, a value is missing")
+        RowNote(
+            applied.layout.rows[row][0],
+            Message("set aside, {text}", text=why),
+            Message("set aside, a value is missing"),
+        )
         for row, why in unusable.items()
     )
     measurements: Measurements | None = None

@@ -7,12 +7,13 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin._common.units import UM
 from twin.measurement.instruments.base import SIDES, InstrumentSpecification, LengthReading, SetUpWords
 
 BALL_BAR: Final = InstrumentSpecification(
     name="ball-bar",
-    title="telescoping ball bar",
+    title=Message("telescoping ball bar"),
     columns=("x_mm",),
     reads="length",
     free_start=False,
@@ -50,7 +51,7 @@ DATA_SHEET_FACTOR: Final = 2.0
 """Coverage factor of the expanded uncertainty in the data sheet."""
 TRACKING: Final = InstrumentSpecification(
     name="interferometer",
-    title="tracking interferometer (LaserTRACER-NG)",
+    title=Message("tracking interferometer (LaserTRACER-NG)"),
     columns=("x_mm",),
     reads="length",
     free_start=True,
@@ -87,7 +88,7 @@ class TrackingInterferometer(LengthReading):
 
 LINEAR: Final = InstrumentSpecification(
     name="linear-interferometer",
-    title="linear interferometer",
+    title=Message("linear interferometer"),
     columns=("x_mm",),
     reads="coordinate",
     free_start=False,

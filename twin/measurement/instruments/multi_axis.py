@@ -34,6 +34,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin.measurement.instruments.base import InstrumentSpecification
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
@@ -106,7 +107,7 @@ class MultiAxis:
         """Description as an instrument: one column for each beam, counted from the reference pose."""
         return InstrumentSpecification(
             name="multi-axis",
-            title="multi-axis interferometer",
+            title=Message("multi-axis interferometer"),
             columns=tuple(f"beam_{name}_mm" for name in self.beams),
             reads="length",
             free_start=True,

@@ -7,6 +7,7 @@ from typing import ClassVar, Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin._common.units import UM
 from twin.measurement.instruments.base import (
     SIDES,
@@ -21,7 +22,7 @@ DATA_SHEET_FACTOR: Final = 2.0
 """Maximum permissible errors are taken as two standard deviations (typical errors are about half of them)."""
 INTERFEROMETER: Final = InstrumentSpecification(
     name="tracker",
-    title="laser tracker, lengths by its interferometer (AT960)",
+    title=Message("laser tracker, lengths by its interferometer (AT960)"),
     columns=("x_mm", "y_mm", "z_mm"),
     reads="point",
     free_start=False,
@@ -38,7 +39,9 @@ INTERFEROMETER: Final = InstrumentSpecification(
     source="maximum permissible errors of the data sheet, taken as two standard deviations",
 )
 ABSOLUTE: Final = replace(
-    INTERFEROMETER, name="tracker-absolute", title="laser tracker, lengths by its absolute distance meter (AT960)"
+    INTERFEROMETER,
+    name="tracker-absolute",
+    title=Message("laser tracker, lengths by its absolute distance meter (AT960)"),
 )
 
 
@@ -89,7 +92,7 @@ AT960_ABSOLUTE: Final = LaserTracker(length_um=10.0, length_um_per_m=0.0, specif
 
 PROBE: Final = InstrumentSpecification(
     name="probe",
-    title="touch probe and calibration sphere",
+    title=Message("touch probe and calibration sphere"),
     columns=("x_mm", "y_mm", "z_mm"),
     reads="null",
     free_start=False,
@@ -122,7 +125,7 @@ class TouchProbe(IsotropicNoise):
 
 R_TEST: Final = InstrumentSpecification(
     name="r-test",
-    title="R-test (nest of three sensors and ball)",
+    title=Message("R-test (nest of three sensors and ball)"),
     columns=("x_mm", "y_mm", "z_mm"),
     reads="point",
     free_start=False,
@@ -154,7 +157,7 @@ class RTest(IsotropicNoise):
 
 LEVEL: Final = InstrumentSpecification(
     name="level",
-    title="electronic level",
+    title=Message("electronic level"),
     columns=("x_mm", "y_mm"),
     reads="angle",
     free_start=False,

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from twin._common import families
 from twin._common.errors import InputError, closest_name
+from twin._common.messages import Message
 from twin.machine.machine import Machine
 from twin.model.effects.base import MASS, OWN_WEIGHT, Effect, Payload, Side, moving_mass_kg, numbered
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, GravityCompliance
@@ -89,6 +90,23 @@ def payloads_on(effects: Sequence[Effect]) -> tuple[Payload, ...]:
         for payload in effect.payloads:
             kinds.setdefault((payload.side, payload.carried), payload)
     return tuple(kinds.values())
+
+
+def load_notices(effects: Sequence[Effect], machine: Machine) -> list[Message]:
+    """Return a notice on each load that is no mass (`payload_entries`)."""
+    return [
+        Message(
+            "the load on the {where} side is not a mass: the control corrects a part of the deflection under own weight, and only the "
+            "ratio of the load to the remaining share is known. A calibration states it as {mass:.3g} kg, as heavy as the moving "
+            "parts, with {parameter} {share:.2g}; weigh the load and change both in proportion",
+            where=entry["where"],
+            mass=entry["parameters"][MASS],
+            parameter=OWN_WEIGHT,
+            share=entry["parameters"][OWN_WEIGHT],
+        )
+        for entry in payload_entries(effects, machine)
+        if OWN_WEIGHT in entry["parameters"]
+    ]
 
 
 def payload_entries(effects: Sequence[Effect], machine: Machine) -> list[dict[str, Any]]:

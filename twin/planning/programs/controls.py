@@ -17,6 +17,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
+from twin._common.messages import Message
 from twin.machine.machine import Machine
 from twin.nc import dialect_for
 
@@ -200,8 +201,10 @@ SIEMENS: Final = ProgramFormat(
     suffixes=(".mpf",),
     source="SINUMERIK 840D sl programming manuals: MEAS, $AC_MEA, $AA_MM, WRITE, SUPA",
     unverified=(
-        "Not run on a control. SUPA together with MEAS, the number of the probe, the folder of the log and its number of decimals are "
-        "not verified."
+        Message(
+            "Not run on a control. SUPA together with MEAS, the number of the probe, the folder of the log and its "
+            "number of decimals are not verified."
+        )
     ),
     write=_siemens_text,
 )
@@ -276,7 +279,9 @@ LINUXCNC: Final = ProgramFormat(
     title="LinuxCNC",
     suffixes=(".ngc", ".nc"),
     source="LinuxCNC documentation: G38.2 straight probe, #5061 to #5069, LOG, G10 L2, G59.3, G43.1",
-    unverified="Run by LinuxCNC 2.9 with a simulated machine. The axes must be those of the machine file, with the same zero.",
+    unverified=Message(
+        "Run by LinuxCNC 2.9 with a simulated machine. The axes must be those of the machine file, with the same zero."
+    ),
     write=_linuxcnc_text,
 )
 
@@ -363,8 +368,11 @@ HEIDENHAIN: Final = ProgramFormat(
     suffixes=(".h",),
     source="HEIDENHAIN TNC 640 manuals: touch probe cycle 4, FN 9, FN 16, M91",
     unverified=(
-        "Not run on a control. Which versions of the control have cycle 4, the place of its result parameters, whether the machine "
-        "system of the results contains the tool length, and the format file of FN 16 are not verified."
+        Message(
+            "Not run on a control. Which versions of the control have cycle 4, the place of its result parameters, "
+            "whether the machine system of the results contains the tool length, and the format file of FN 16 are not "
+            "verified."
+        )
     ),
     write=_heidenhain_text,
 )

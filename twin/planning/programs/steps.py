@@ -10,10 +10,11 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.planning.drift import ALONG, STOP_S, DriftPlan
+from twin.planning.kit import CONTACT_S
 from twin.planning.measure import SequencePlan
 from twin.planning.programs.controls import APPROACH_FEED, PROBING_FEED, ProgramStep, ProgramSteps
 from twin.planning.sequences.contacts import ContactPose, apart_clearance, clearance_of, contact_poses
-from twin.planning.sequences.specification import CONTACT_S, CONTACTS, POINT_S, SequenceTask
+from twin.planning.sequences.specification import CONTACTS, POINT_S, SequenceTask
 
 RETRACT_MM: Final = 400.0
 """Longest retraction from the sphere along the tool axis before rotary axes turn."""

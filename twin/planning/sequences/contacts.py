@@ -11,6 +11,7 @@ import coal
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.units import MM
 from twin.machine.machine import Machine
 from twin.measurement.columns import CARRIERS
@@ -147,7 +148,7 @@ class Reached:
     """Points of a sequence that the axes reach."""
 
     points: SequencePoints  # those points, with the positions of all axes
-    dropped: Mapping[str, int]  # number of the other points by reason
+    dropped: Mapping[Message, int]  # number of the other points by reason
 
 
 def reach(task: SequenceTask, points: SequencePoints) -> Reached:
@@ -162,16 +163,16 @@ def reach(task: SequenceTask, points: SequencePoints) -> Reached:
     margin = np.where(linear, task.margin_mm, 0.0)
     low, high = task.kit.ranges.T
     outside = ((positions < low + margin) | (positions > high - margin)) & limited
-    dropped: dict[str, int] = {}
+    dropped: dict[Message, int] = {}
     for i in np.flatnonzero(outside.any(axis=0)):
         first = outside[:, i] & ~outside[:, :i].any(axis=1)
         if first.any():
-            dropped[f"{machine.axes[i].name} beyond its range"] = int(first.sum())
+            dropped[Message("{name} beyond its range", name=machine.axes[i].name)] = int(first.sum())
     inside = np.flatnonzero(~outside.any(axis=1))
     clear = _clear(task, positions[inside], places[inside])
     kept = inside[clear].tolist()
     if len(kept) < len(inside):
-        dropped["too little clearance"] = len(inside) - len(kept)
+        dropped[Message("too little clearance")] = len(inside) - len(kept)
     found = points.select(np.array(kept, dtype=int))
     reached = SequencePoints(positions[kept], found.place, found.offset_mm, found.run)
     return Reached(reached, MappingProxyType(dropped))

@@ -20,6 +20,7 @@ from typing import Final, Literal
 import numpy as np
 
 from twin._common.errors import InputError, closest_name
+from twin._common.messages import Message
 from twin.identification.unidentified import constant_rows, without_setup
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.set_up import StationsAndTargets
@@ -167,11 +168,13 @@ def ordered(task: SequenceTask, points: SequencePoints) -> SequencePoints:
 
 BEST: Final = MeasuringSequence(
     name="best",
-    title="poses chosen for the smallest uncertainty of the constant errors in the time given",
-    source="A-optimal design by exchange (Fedorov 1972; Atkinson, Donev and Tobias 2007) over a grid of the rotary axes",
+    title=Message("poses chosen for the smallest uncertainty of the constant errors in the time given"),
+    source=Message(
+        "A-optimal design by exchange (Fedorov 1972; Atkinson, Donev and Tobias 2007) over a grid of the rotary axes"
+    ),
     instruments=("probe", "r-test"),
-    unverified="",
-    limits="Error motions that depend on the position are not part of the criterion.",
+    unverified=Message(""),
+    limits=Message("Error motions that depend on the position are not part of the criterion."),
     make=_best_points,
 )
 
@@ -210,21 +213,23 @@ def _points(task: SequenceTask) -> SequencePoints:
 
 CIRCLES: Final = MeasuringSequence(
     name="circles",
-    title="circles in XY and arcs of 220° in YZ and ZX, in both directions, rotary axes at rest",
-    source="ISO 230-4:2022, circular tests",
+    title=Message("circles in XY and arcs of 220° in YZ and ZX, in both directions, rotary axes at rest"),
+    source=Message("ISO 230-4:2022, circular tests"),
     instruments=("ball-bar",),
-    unverified=(
+    unverified=Message(
         "The text of the standard was not available; the number of points is a choice. Arcs of 220° replace the circles of the "
         "vertical planes, as is usual with a pivot on the table. The bar itself is not checked for collisions."
     ),
-    limits="Rotary axes do not move, so their errors do not show. Scales rest on the calibrated length of the bar.",
+    limits=Message(
+        "Rotary axes do not move, so their errors do not show. Scales rest on the calibrated length of the bar."
+    ),
     make=_points,
 )
 
 # --- Kinematic tests in the manner of ISO 10791-6: X, Y and Z follow one or both rotary axes ------
 
-DESCRIBED: Final = "the abstract of Florussen et al. 2020 (R-test on trunnion machines)"
-ANALOGY: Final = "the analogous test of trunnion machines"
+DESCRIBED: Final = Message("the abstract of Florussen et al. 2020 (R-test on trunnion machines)")
+ANALOGY: Final = Message("the analogous test of trunnion machines")
 NOT_DESCRIBED: Final[Mapping[str, str]] = MappingProxyType(
     {
         **dict.fromkeys(("ak3", "bk3"), "which axes move in test 3, and where the sensor is"),
@@ -266,18 +271,33 @@ def _interpolation_points(task: SequenceTask, side: Literal["tool", "work"], num
 
 def _test(side: Literal["tool", "work"], number: int) -> MeasuringSequence:
     letter = "A" if side == "tool" else "B"
-    moving = {1: "the first rotary axis", 2: "the second rotary axis", 4: "both rotary axes"}[number]
-    where = "spindle" if side == "tool" else "table"
+    moving = {
+        1: Message("the first rotary axis"),
+        2: Message("the second rotary axis"),
+        4: Message("both rotary axes"),
+    }[number]
+    where = Message("spindle") if side == "tool" else Message("table")
     return MeasuringSequence(
         name=f"{letter.lower()}k{number}",
-        title=f"{letter}K{number}: {moving} with X, Y and Z, forwards and backwards; rotary axes on the {where} side",
-        source=f"ISO 10791-6:2014, kinematic test {letter}K{number}, after {DESCRIBED if side == 'work' else ANALOGY}",
+        title=Message(
+            "{letter}K{number}: {moving} with X, Y and Z, forwards and backwards; rotary axes on the {where} side",
+            letter=letter,
+            number=number,
+            moving=moving,
+            where=where,
+        ),
+        source=Message(
+            "ISO 10791-6:2014, kinematic test {letter}K{number}, after {source}",
+            letter=letter,
+            number=number,
+            source=DESCRIBED if side == "work" else ANALOGY,
+        ),
         instruments=("r-test",),
-        unverified=(
+        unverified=Message(
             "The text of the standard was not available: which test has which axes, the ranges, the number of points, the place of the "
             "ball, the feed and the evaluation are not verified."
         ),
-        limits="Points are stationary: dynamic deviations of the interpolation do not show.",
+        limits=Message("Points are stationary: dynamic deviations of the interpolation do not show."),
         make=partial(_interpolation_points, side=side, number=number),
     )
 
@@ -318,11 +338,15 @@ def _turns_points(task: SequenceTask) -> SequencePoints:
 
 TURNS: Final = MeasuringSequence(
     name="turns",
-    title="each rotary axis alone over its range, the other at zero and at one other angle",
-    source="after the description of touch probe cycle 451 (MEASURE KINEMATICS) in the HEIDENHAIN TNC 640 and TNC7 manuals",
+    title=Message("each rotary axis alone over its range, the other at zero and at one other angle"),
+    source=Message(
+        "after the description of touch probe cycle 451 (MEASURE KINEMATICS) in the HEIDENHAIN TNC 640 and TNC7 manuals"
+    ),
     instruments=("probe", "r-test"),
-    unverified="The cycle chooses its own contacts and corrects the control's kinematics; this sequence only has such poses.",
-    limits="Every axis turns in one direction only, so reversal errors do not show.",
+    unverified=Message(
+        "The cycle chooses its own contacts and corrects the control's kinematics; this sequence only has such poses."
+    ),
+    limits=Message("Every axis turns in one direction only, so reversal errors do not show."),
     make=_turns_points,
 )
 

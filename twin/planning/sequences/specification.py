@@ -12,6 +12,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.families import SEQUENCE_INSTRUMENTS
+from twin._common.messages import Message, joined, say
 from twin._common.records import json_form
 from twin._common.units import MM
 from twin.display import readable
@@ -35,15 +36,15 @@ class PartNames:
 
     station: str  # station, target: names of the station and the target in the table, without number
     target: str
-    places: str  # the parts on the table, in words (plural)
-    tip: str  # the part in the spindle, in words
+    places: Message  # the parts on the table, in words (plural)
+    tip: Message  # the part in the spindle, in words
     set_up_s: float  # seconds for setting up one part on the table (assumed): fastening it and finding it with the axes
 
 
 _PARTS: Final = (
-    PartNames("probe", "sphere", "spheres", "tip", 180.0),
-    PartNames("nest", "ball", "nests", "ball", 900.0),
-    PartNames("pivot", "ball", "pivots", "ball", 300.0),
+    PartNames("probe", "sphere", Message("spheres"), Message("tip"), 180.0),
+    PartNames("nest", "ball", Message("nests"), Message("ball"), 900.0),
+    PartNames("pivot", "ball", Message("pivots"), Message("ball"), 300.0),
 )
 SET_UPS: Final = dict(zip(SEQUENCE_INSTRUMENTS, _PARTS, strict=True))
 """Parts of each instrument that measures the tool relative to the table, by the name of the instrument."""
@@ -166,11 +167,11 @@ class MeasuringSequence:
     """A sequence of poses for instruments that measure the tool relative to the table."""
 
     name: str  # the name that selects it
-    title: str  # what it is
-    source: str  # standard and clause, or another source
+    title: Message  # what it is
+    source: Message  # standard and clause, or another source
     instruments: tuple[str, ...]  # names of the instruments that it is for
-    unverified: str  # what was not checked against the text of the standard; empty if it follows none
-    limits: str  # what it does not do or show, in words
+    unverified: Message  # what was not checked against the text of the standard; empty if it follows none
+    limits: Message  # what it does not do or show, in words
     # function that returns its points; it raises `InputError` where the machine cannot perform it
     make: Callable[[SequenceTask], SequencePoints]
 
@@ -179,8 +180,6 @@ class MeasuringSequence:
 
 CONTACTS: Final = 5
 """Contacts per sphere: four at the equator and one at the pole."""
-CONTACT_S: Final = 6.0
-"""Seconds for one contact: approach, touch and retraction."""
 POINT_S: Final = 3.0
 """Seconds for a reading of an R-test at rest."""
 RETRACT_MM: Final = 100.0
@@ -229,7 +228,7 @@ def seconds_of(machine: Machine, kit: Kit, table: Measurements) -> np.ndarray:
     if instrument != "probe":
         return np.asarray(travel + POINT_S)
     linear_speed = float(kit.speeds[list(machine.linear)].min())
-    return np.asarray(travel + 2.0 * RETRACT_MM / linear_speed + CONTACTS * CONTACT_S)
+    return np.asarray(travel + 2.0 * RETRACT_MM / linear_speed + CONTACTS * kit.seconds.contact)
 
 
 def minutes_of(machine: Machine, kit: Kit, table: Measurements) -> float:
@@ -243,33 +242,46 @@ def minutes_of(machine: Machine, kit: Kit, table: Measurements) -> float:
 class Expectation:
     """The constant errors that a sequence determines, for several states of knowledge of the set-up."""
 
-    by_knowledge: Mapping[str, ConstantErrors]  # the constant errors by the known parts, in words; nothing known first
+    by_knowledge: Mapping[
+        Message, ConstantErrors
+    ]  # the constant errors by the known parts, in words; nothing known first
 
     @property
     def unknown(self) -> ConstantErrors:
         """The constant errors if nothing of the set-up is known."""
         return next(iter(self.by_knowledge.values()))
 
-    def lines(self, others: Mapping[str, Mapping[str, float]] | None = None) -> list[str]:
+    def lines(self, others: Mapping[Message, Mapping[str, float]] | None = None) -> list[str]:
         """Return the text: one line per constant error, then the errors that are not determined."""
         headers, rows = self.rows(others)
-        width = max(len(title) for title in headers[1:]) + 2
+        titles = [say(title) for title in headers[1:]]
+        width = max(map(len, titles)) + 2
         lines = [
-            "constant errors, predicted standard uncertainty (k = 1); - where this sequence cannot determine it:",
-            " " * 16 + "".join(f"{title:>{width}}" for title in headers[1:]),
+            Message(
+                "constant errors, predicted standard uncertainty (k = 1); - where this sequence cannot determine it:"
+            ),
+            " " * 16 + "".join(f"{title:>{width}}" for title in titles),
             *(f"  {name:<14}" + "".join(f"{cell:>{width}}" for cell in cells) for name, *cells in rows),
         ]
-        lines.append("what this sequence cannot tell:")
+        lines.append(Message("what this sequence cannot tell:"))
         for title, constants in self.by_knowledge.items():
-            lost = "; ".join(constants.lost) or "nothing among the errors of the axes that it moves"
-            lines.append(f"  {title}: {lost} ({constants.determined} of {len(constants.u)} determined)")
+            lost = joined("; ", constants.lost) or Message("nothing among the errors of the axes that it moves")
+            lines.append(
+                Message(
+                    "  {title}: {lost} ({determined} of {count} determined)",
+                    title=title,
+                    lost=lost,
+                    determined=constants.determined,
+                    count=len(constants.u),
+                )
+            )
         return lines
 
     def rows(
-        self, others: Mapping[str, Mapping[str, float]] | None = None
+        self, others: Mapping[Message, Mapping[str, float]] | None = None
     ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return headers and rows of the table of uncertainties, one row per constant error; arguments as of `lines`."""
-        columns = {name: found.u for name, found in self.by_knowledge.items()} | dict(others or {})
+        columns = {**{name: found.u for name, found in self.by_knowledge.items()}, **(others or {})}
         rows = []
         for name in dict.fromkeys(name for found in columns.values() for name in found):
             unit = readable(unit_of(name)) if "0" in name else "µm/m"
@@ -310,11 +322,11 @@ def expectation(machine: Machine, table: Measurements, instrument: Instrument) -
     setup = StationsAndTargets.from_table(read, instruments)
     words, probing = SET_UPS[instrument.name], instrument.specification.reads == "null"
     stations, targets = np.zeros(len(setup.stations), dtype=bool), np.zeros(len(setup.targets), dtype=bool)
-    places = f"{words.places} known"
+    places = Message("{places} known", places=words.places)
     states = {
-        "nothing known": (stations, targets),
+        Message("nothing known"): (stations, targets),
         places: (stations, ~targets) if probing else (~stations, targets),
-        f"{words.places} and {words.tip} known": (~stations, ~targets),
+        Message("{places} and {tip} known", places=words.places, tip=words.tip): (~stations, ~targets),
     }
     by_name = {}
     for name, (station_known, target_known) in states.items():

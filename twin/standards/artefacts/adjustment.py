@@ -16,6 +16,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf
+from twin._common.messages import Message
 from twin.display.numbers import COVERAGE
 
 Shape = Literal["limit", "normal"]
@@ -44,7 +45,7 @@ class BudgetLine:
         shape: whether ``effects`` are limits (rectangular distribution) or standard uncertainties (normal distribution).
     """
 
-    name: str
+    name: Message
     effects: np.ndarray
     shape: Shape = "limit"
 
@@ -187,7 +188,7 @@ def estimate(sheets: Sequence[Observed], count: int) -> AdjustedErrors:
         own_gain = gain[:, int(start) : int(start) + len(sheet.lines)]
         total += sheet.repeats.drawn(rng, own_gain)
         repeats += np.sum(np.square(own_gain * sheet.repeats.spread), axis=1)
-    budget["repeat"] = np.sqrt(repeats)
+    budget[Message("repeat")] = np.sqrt(repeats)
     expanded = np.quantile(np.abs(total), COVERAGE, axis=0)
     hidden = np.where(unknown, np.nan, 0.0)
     return AdjustedErrors(
@@ -208,7 +209,7 @@ def _before(count: int) -> Observed:
     def at(errors: np.ndarray) -> Linearised:
         return -errors, np.eye(count), np.zeros((count, 0))
 
-    known = BudgetLine("errors not shown", PRIOR * np.eye(count), "normal")
+    known = BudgetLine(Message("errors not shown"), PRIOR * np.eye(count), "normal")
     return Observed(at, (0,) * count, np.zeros(count), (known,), RepeatedReadings(0.0, 0, np.ones(count)))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration
@@ -144,15 +145,15 @@ class ArtefactKind(ABC):
     """
 
     name: ClassVar[str]
-    title: ClassVar[str]
-    shows: ClassVar[str]
+    title: ClassVar[Message]
+    shows: ClassVar[Message]
     quantities: ClassVar[tuple[SheetQuantity, ...]]
     columns: ClassVar[tuple[str, ...]]
     prefixes: ClassVar[tuple[str, ...]] = ("",)
     repeats: ClassVar[int] = 3
 
     @abstractmethod
-    def steps(self, plane: str) -> tuple[str, ...]:
+    def steps(self, plane: str) -> tuple[Message, ...]:
         """Return what to do, one sentence each."""
 
     @abstractmethod

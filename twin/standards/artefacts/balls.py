@@ -11,6 +11,7 @@ from typing import ClassVar, Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin.machine.machine import Machine
 from twin.standards.artefacts.adjustment import BudgetLine, Linearised, Observed, RepeatedReadings
 from twin.standards.artefacts.artefact import (
@@ -87,14 +88,17 @@ class _Balls(ArtefactKind):
             own_place[names.index(row.cells["ball"]), :, k, :] = turns[k].T
         flat = turned.ravel()[None]
         effects = [
-            BudgetLine("artefact, places", per_axis(sheet.value("places") * own_place.reshape(-1, flat.size))),
-            BudgetLine("artefact, scale", per_axis(1e-3 * sheet.value("artefact scale") * flat)),
-            BudgetLine("temperature", per_axis(1e-6 * sheet.value("expansion") * sheet.limit("temperature") * flat)),
+            BudgetLine(Message("artefact, places"), per_axis(sheet.value("places") * own_place.reshape(-1, flat.size))),
+            BudgetLine(Message("artefact, scale"), per_axis(1e-3 * sheet.value("artefact scale") * flat)),
             BudgetLine(
-                "expansion", per_axis(1e-6 * sheet.limit("expansion") * (sheet.value("temperature") - 20.0) * flat)
+                Message("temperature"), per_axis(1e-6 * sheet.value("expansion") * sheet.limit("temperature") * flat)
             ),
-            BudgetLine("machine", sheet.value("machine deviation") * np.eye(count)),
-            BudgetLine("resolution", repeats.rounding_mm(sheet.value("resolution")) * np.eye(count)),
+            BudgetLine(
+                Message("expansion"),
+                per_axis(1e-6 * sheet.limit("expansion") * (sheet.value("temperature") - 20.0) * flat),
+            ),
+            BudgetLine(Message("machine"), sheet.value("machine deviation") * np.eye(count)),
+            BudgetLine(Message("resolution"), repeats.rounding_mm(sheet.value("resolution")) * np.eye(count)),
         ]
 
         def at(errors: np.ndarray) -> Linearised:
@@ -161,16 +165,25 @@ class ScaleBar(_Balls):
     """Bar with two balls: along the axes for scales, along both diagonals of a plane for squareness."""
 
     name = "scale-bar"
-    title = "scale bar with two balls"
-    shows = "scales along the axes; squareness of the plane from both diagonals"
+    title = Message("scale bar with two balls")
+    shows = Message("scales along the axes; squareness of the plane from both diagonals")
     least = 2
 
-    def steps(self, plane: str) -> tuple[str, ...]:
+    def steps(self, plane: str) -> tuple[Message, ...]:
         """See `ArtefactKind.steps`."""
         return (
-            f"Clamp the bar along {plane[0]}, along {plane[1]}, and along both diagonals of {plane}; directions need not be exact.",
-            "Find the centre of each ball with the control's own probing cycle, three times. Readings are the positions of the axes.",
-            "ball_x_mm is the distance of the balls from the certificate, at 20 degC.",
+            Message(
+                "Clamp the bar along {a}, along {b}, and along both diagonals of {plane}; directions need not be"
+                " exact.",
+                a=plane[0],
+                b=plane[1],
+                plane=plane,
+            ),
+            Message(
+                "Find the centre of each ball with the control's own probing cycle, three times. Readings are the "
+                "positions of the axes."
+            ),
+            Message("ball_x_mm is the distance of the balls from the certificate, at 20 degC."),
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
@@ -196,16 +209,26 @@ class BallPlate(_Balls):
     """Plate with balls or holes at known places."""
 
     name = "ball-plate"
-    title = "ball plate"
-    shows = "scales and squareness of the plane in one placement; of all planes with placements in each"
+    title = Message("ball plate")
+    shows = Message("scales and squareness of the plane in one placement; of all planes with placements in each")
     least = 3
 
-    def steps(self, plane: str) -> tuple[str, ...]:
+    def steps(self, plane: str) -> tuple[Message, ...]:
         """See `ArtefactKind.steps`."""
         return (
-            "Enter the places of the balls from the certificate (20 degC), in the plate's own frame; three rows for each ball.",
-            f"Clamp the plate in {plane}. Its direction need not be exact. Further placements get another name in `placement`.",
-            "Find the centre of each ball with the control's own probing cycle, three times. Readings are the positions of the axes.",
+            Message(
+                "Enter the places of the balls from the certificate (20 degC), in the plate's own frame; three rows for "
+                "each ball."
+            ),
+            Message(
+                "Clamp the plate in {plane}. Its direction need not be exact. Further placements get another name in "
+                "`placement`.",
+                plane=plane,
+            ),
+            Message(
+                "Find the centre of each ball with the control's own probing cycle, three times. Readings are the "
+                "positions of the axes."
+            ),
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:

@@ -7,6 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin.machine.machine import Machine
 from twin.standards.artefacts.adjustment import BudgetLine, Linearised, Observed, RepeatedReadings
 from twin.standards.artefacts.artefact import (
@@ -33,8 +34,8 @@ class Diagonals(ArtefactKind):
     """Squareness from the difference of two diagonals; scales from all lengths."""
 
     name = "diagonals"
-    title = "diagonals of a rectangle"
-    shows = "squareness of the plane; with the sides also both scales, as good as the ruler"
+    title = Message("diagonals of a rectangle")
+    shows = Message("squareness of the plane; with the sides also both scales, as good as the ruler")
     quantities = (
         SheetQuantity("resolution", "mm", 0.5, None, "smallest step that can be read on the ruler"),
         SheetQuantity("instrument", "mm", 0.3, None, "limit of error of the ruler's zero, the same in all readings"),
@@ -55,13 +56,23 @@ class Diagonals(ArtefactKind):
     columns = ("length",)
     prefixes = ("from_", "to_")
 
-    def steps(self, plane: str) -> tuple[str, ...]:
+    def steps(self, plane: str) -> tuple[Message, ...]:
         """See `ArtefactKind.steps`."""
         return (
-            f"Drill or prick a mark at each of the four positions; approach every one from the same side. A is the corner at the lower "
-            f"{plane[0]} and {plane[1]}; B lies along {plane[0]}, D along {plane[1]}, C opposite.",
-            "Measure the six distances with one ruler or with calipers over pins; three times and not one after the other.",
-            "Enter the readings. The two diagonals alone give the squareness; a length that was not measured stays empty.",
+            Message(
+                "Drill or prick a mark at each of the four positions; approach every one from the same side. A is the "
+                "corner at the lower {a} and {b}; B lies along {a}, D along {b}, C opposite.",
+                a=plane[0],
+                b=plane[1],
+            ),
+            Message(
+                "Measure the six distances with one ruler or with calipers over pins; three times and not one after the "
+                "other."
+            ),
+            Message(
+                "Enter the readings. The two diagonals alone give the squareness; a length that was not measured stays "
+                "empty."
+            ),
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
@@ -108,16 +119,16 @@ class Diagonals(ArtefactKind):
             for place, sign in ((a, -1.0), (b, 1.0)):
                 wander[list(marks).index(tuple(place.round(6))), :, k] = sign * along
         effects = {
-            "ruler, zero": np.full((1, count), sheet.value("instrument")),
-            "ruler, scale": 1e-3 * sheet.value("instrument per length") * means[None],
-            "temperature": np.array(
+            Message("ruler, zero"): np.full((1, count), sheet.value("instrument")),
+            Message("ruler, scale"): 1e-3 * sheet.value("instrument per length") * means[None],
+            Message("temperature"): np.array(
                 [
                     1e-6 * sheet.value("expansion") * sheet.limit("temperature") * means,
                     1e-6 * sheet.limit("expansion") * (sheet.value("temperature") - 20.0) * means,
                 ]
             ),
-            "marks": sheet.value("marks") * wander.reshape(-1, count),
-            "resolution": same(repeats.rounding_mm(sheet.value("resolution")), count),
+            Message("marks"): sheet.value("marks") * wander.reshape(-1, count),
+            Message("resolution"): same(repeats.rounding_mm(sheet.value("resolution")), count),
         }
 
         def at(errors: np.ndarray) -> Linearised:

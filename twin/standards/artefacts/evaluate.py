@@ -14,6 +14,7 @@ import numpy as np
 from twin._common import families
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message, Number, joined
 from twin.display import figure
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.machine import Machine
@@ -41,7 +42,7 @@ CONTRADICTION: Final = 1e-9
 DOUBTFUL: Final = 0.01
 SMALLEST_SHARE: Final = 0.05
 """Share of the standard uncertainty from which a line of the budget is named."""
-UNCERTAINTY: Final = (
+UNCERTAINTY: Final = Message(
     "U (95 %) is propagated from the budget of the sheets (JCGM 101): limits are rectangular, repeats have Student's distribution. "
     "Squareness and scale are those between the positions measured, at the temperature of the machine at that time."
 )
@@ -92,7 +93,7 @@ class SheetData:
         return ", ".join(str(sheet.path) for sheet in self.sheets)
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Message, ...]:
         """Empty: what is assumed is among the assumptions."""
         return ()
 
@@ -145,7 +146,7 @@ def evaluate_sheets(
         *(_straight(sheet, machine) for sheet in sheets if sheet not in observed),
     ]
     missing = [
-        NotEvaluated(name, "the readings do not determine it")
+        NotEvaluated(Message("{name}", name=name), Message("the readings do not determine it"))
         for name, value in zip(model.names, found.values, strict=True)
         if np.isnan(value)
     ]
@@ -155,7 +156,9 @@ def evaluate_sheets(
         tests=tuple(tests),
         not_evaluated=tuple(missing),
         assumptions=tuple(
-            f"{sheet.path.name}: assumed, not stated: {text}" for sheet in sheets for text in sheet.assumed
+            Message("{file}: assumed, not stated: {text}", file=sheet.path.name, text=text)
+            for sheet in sheets
+            for text in sheet.assumed
         ),
         uncertainty=UNCERTAINTY,
         checks=check_tolerances(tolerances or {}, tests),
@@ -191,12 +194,15 @@ def _linear_tests(
     observed: Mapping[ArtefactSheet, Observed], model: LinearModel, found: AdjustedErrors
 ) -> Iterable[StandardTest]:
     """Return the tests of squareness and scale."""
-    titles = "; ".join(f"{artefact_named(sheet.artefact).title}, {sheet.plane}" for sheet in observed)
+    titles = joined("; ", [_place(sheet) for sheet in observed])
     remarks = []
     if found.dof and found.p_value < DOUBTFUL:
         remarks.append(
-            f"the residuals are larger than the budget explains (p = {found.p_value:.2g}): the machine has other errors at these "
-            "positions, or a limit in the sheet is too small"
+            Message(
+                "the residuals are larger than the budget explains (p = {p:.2g}): the machine has other errors at these positions, "
+                "or a limit in the sheet is too small",
+                p=found.p_value,
+            )
         )
     for k, name in enumerate(model.names):
         if np.isnan(found.values[k]):
@@ -207,11 +213,19 @@ def _linear_tests(
         large = sorted(((size, what) for what, size in shares.items() if size > SMALLEST_SHARE * u), reverse=True)
         square = name.startswith("E_")
         unit = "urad" if square else "um/m"
-        budget = "; ".join(f"{what} {figure(size, 'µrad' if square else 'µm/m')}" for size, what in large)
+        budget = joined(
+            "; ",
+            [
+                Message("{what} {size}", what=what, size=Number(figure(size, "µrad" if square else "µm/m")))
+                for size, what in large
+            ],
+        )
         yield StandardTest(
             kind="squareness" if square else "scale",
             name=name if square else name.split()[1],
-            standard="ISO 230-1:2012, with artefacts" if square else "actual per commanded length, with artefacts",
+            standard=Message("ISO 230-1:2012, with artefacts")
+            if square
+            else Message("actual per commanded length, with artefacts"),
             axes=_axes_of(name),
             place=titles,
             values=(
@@ -220,14 +234,20 @@ def _linear_tests(
                     name if square else "scale",
                     value,
                     unit,
-                    "squareness error, right-handed" if square else "scale error: positive if the axis moves too far",
+                    Message("squareness error, right-handed")
+                    if square
+                    else Message("scale error: positive if the axis moves too far"),
                     u,
                     expanded,
                 ),
             ),
-            remarks=(f"budget, standard uncertainties: {budget}", *remarks),
+            remarks=(Message("budget, standard uncertainties: {budget}", budget=budget), *remarks),
             detail=ArtefactValue(name, value, u, expanded, MappingProxyType(shares)),
         )
+
+
+def _place(sheet: ArtefactSheet) -> Message:
+    return Message("{title}, {plane}", title=artefact_named(sheet.artefact).title, plane=sheet.plane)
 
 
 def _axes_of(name: str) -> tuple[str, ...]:
@@ -253,13 +273,20 @@ def _straight(sheet: ArtefactSheet, machine: Machine) -> StandardTest:
     return StandardTest(
         kind="straightness",
         name=name,
-        standard="ISO 230-1:2012, test 8.2.2.1",
+        standard=Message("ISO 230-1:2012, test 8.2.2.1"),
         axes=(sheet.plane[0],),
-        place=f"{own.title}, {sheet.plane}",
+        place=_place(sheet),
         values=(
-            StandardValue(name, name, bent.least_squares.value_um, "um", "straightness error", u, COVERAGE_FACTOR * u),
+            StandardValue(
+                name, name, bent.least_squares.value_um, "um", Message("straightness error"), u, COVERAGE_FACTOR * u
+            ),
         ),
-        remarks=(f"shape of the straightedge itself, separated: {figure(shape.least_squares.value_um, 'µm')}",),
+        remarks=(
+            Message(
+                "shape of the straightedge itself, separated: {size}",
+                size=Number(figure(shape.least_squares.value_um, "µm")),
+            ),
+        ),
         detail=bent,
     )
 

@@ -22,6 +22,7 @@ from typing import ClassVar, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin.machine.machine import Machine
 from twin.standards.artefacts.adjustment import BudgetLine, Linearised, Observed, RepeatedReadings
 from twin.standards.artefacts.artefact import (
@@ -107,9 +108,9 @@ class _TwoFaces(ArtefactKind):
         self._check(sheet, normals, places, plane)
         repeats = RepeatedReadings.of(groups, sheet.value("repeatability"))
         effects = [
-            BudgetLine("artefact, angle", 1e-3 * sheet.value("angle") * angle[None]),
-            BudgetLine("machine", same(sheet.value("machine deviation"), count)),
-            BudgetLine("resolution", same(repeats.rounding_mm(sheet.value("resolution")), count)),
+            BudgetLine(Message("artefact, angle"), 1e-3 * sheet.value("angle") * angle[None]),
+            BudgetLine(Message("machine"), same(sheet.value("machine deviation"), count)),
+            BudgetLine(Message("resolution"), same(repeats.rounding_mm(sheet.value("resolution")), count)),
             *more,
         ]
 
@@ -156,8 +157,8 @@ class Square(_TwoFaces):
     """Square and dial gauge, normal and turned over."""
 
     name = "square"
-    title = "square and dial gauge"
-    shows = "squareness of the plane; with both set-ups free of the square's own error"
+    title = Message("square and dial gauge")
+    shows = Message("squareness of the plane; with both set-ups free of the square's own error")
     quantities = (
         SheetQuantity("angle", "mm/m", 0.2, None, "limit of error of the square; both set-ups make it unimportant"),
         RESOLUTION,
@@ -167,15 +168,29 @@ class Square(_TwoFaces):
     )
     faces = (("datum", 1, 1), ("blade", 0, 1))
 
-    def steps(self, plane: str) -> tuple[str, ...]:
+    def steps(self, plane: str) -> tuple[Message, ...]:
         """See `ArtefactKind.steps`."""
         a, b = plane[0], plane[1]
         return (
-            f"Clamp the square on the table: one face (datum) runs along {a}, the other one (blade) along {b}.",
-            f"Gauge in the spindle. Datum: move along {a}, the plunger points along {b}. Blade: move along {b}, it points along {a}.",
-            "plunger: the direction in which the plunger points at the face. The gauge reads more when it is pushed in.",
-            "Reversed: turn the square over, so that its angle counts the other way, and touch the same two faces.",
-            "What was not measured stays empty.",
+            Message(
+                "Clamp the square on the table: one face (datum) runs along {a}, the other one (blade) along {b}.",
+                a=a,
+                b=b,
+            ),
+            Message(
+                "Gauge in the spindle. Datum: move along {a}, the plunger points along {b}. Blade: move along {b}, it "
+                "points along {a}.",
+                a=a,
+                b=b,
+            ),
+            Message(
+                "plunger: the direction in which the plunger points at the face. The gauge reads more when it is pushed "
+                "in."
+            ),
+            Message(
+                "Reversed: turn the square over, so that its angle counts the other way, and touch the same two faces."
+            ),
+            Message("What was not measured stays empty."),
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
@@ -211,7 +226,9 @@ class Square(_TwoFaces):
                     "reading", "beyond the travel of a dial gauge", "mm of a gauge near zero", f"{reading:g} mm"
                 )
         sign = np.array([1.0 if row.cells["plunger"][0] == "+" else -1.0 for row in rows])
-        gain = BudgetLine("gauge, scale", (1e-3 * sheet.value("gauge per travel") * sign * (means - zero))[None])
+        gain = BudgetLine(
+            Message("gauge, scale"), (1e-3 * sheet.value("gauge per travel") * sign * (means - zero))[None]
+        )
         return np.zeros(len(rows)), free, [gain]
 
 
@@ -220,8 +237,8 @@ class GaugeBlock(_TwoFaces):
     """1-2-3 block and a probe: four faces, normal and turned over."""
 
     name = "block"
-    title = "1-2-3 block and probe"
-    shows = "squareness of the plane; scales, as good as its size allows (10 µm of 50 mm are 200 µm/m)"
+    title = Message("1-2-3 block and probe")
+    shows = Message("squareness of the plane; scales, as good as its size allows (10 µm of 50 mm are 200 µm/m)")
     quantities = (
         SheetQuantity(
             "size",
@@ -250,13 +267,27 @@ class GaugeBlock(_TwoFaces):
     faces = (("left", 0, 1), ("right", 0, -1), ("front", 1, 1), ("back", 1, -1))
     faces_fixed = True
 
-    def steps(self, plane: str) -> tuple[str, ...]:
+    def steps(self, plane: str) -> tuple[Message, ...]:
         """See `ArtefactKind.steps`."""
         a, b = plane[0], plane[1]
         return (
-            f"Clamp the block, its first size along {a}, the second one along {b}; enter its sizes and the ball's radius above.",
-            f"Touch each face where the rows say, in the direction of `plunger`. The reading is the position of {a} or {b} then.",
-            f"Reversed: turn the block over about {a}, clamp it at the same place, and repeat. What was not measured stays empty.",
+            Message(
+                "Clamp the block, its first size along {a}, the second one along {b}; enter its sizes and the ball's "
+                "radius above.",
+                a=a,
+                b=b,
+            ),
+            Message(
+                "Touch each face where the rows say, in the direction of `plunger`. The reading is the position of {a} or "
+                "{b} then.",
+                a=a,
+                b=b,
+            ),
+            Message(
+                "Reversed: turn the block over about {a}, clamp it at the same place, and repeat. What was not measured "
+                "stays empty.",
+                a=a,
+            ),
         )
 
     def statements(self, size_mm: tuple[float, ...]) -> list[str]:
@@ -315,9 +346,9 @@ class GaugeBlock(_TwoFaces):
             1e-6 * sheet.limit("expansion") * (sheet.value("temperature") - 20.0) * side * half,
         ]
         more = [
-            BudgetLine("artefact, size", np.array(size)),
-            BudgetLine("probe, radius", (sheet.limit("ball radius") * side)[None]),
-            BudgetLine("temperature", np.array(warmth)),
+            BudgetLine(Message("artefact, size"), np.array(size)),
+            BudgetLine(Message("probe, radius"), (sheet.limit("ball radius") * side)[None]),
+            BudgetLine(Message("temperature"), np.array(warmth)),
         ]
         return side * (half * (1.0 + warm) + sheet.value("ball radius")), free, more
 
@@ -327,8 +358,10 @@ class Straightedge(ArtefactKind):
     """Straightedge and dial gauge with reversal: straightness of one axis."""
 
     name = "straightedge"
-    title = "straightedge and dial gauge, reversed"
-    shows = "straightness of the first axis of the plane in the direction of the second; neither squareness nor scale"
+    title = Message("straightedge and dial gauge, reversed")
+    shows = Message(
+        "straightness of the first axis of the plane in the direction of the second; neither squareness nor scale"
+    )
     quantities = (
         RESOLUTION,
         GAUGE,
@@ -343,13 +376,24 @@ class Straightedge(ArtefactKind):
     )
     columns = ("setup", "plunger")
 
-    def steps(self, plane: str) -> tuple[str, ...]:
+    def steps(self, plane: str) -> tuple[Message, ...]:
         """See `ArtefactKind.steps`."""
         a, b = plane[0], plane[1]
         return (
-            f"Lay the straightedge along {a} on two supports, 0.22 of its length from the ends. The gauge touches it along +{b}.",
-            f"Reversed: half a turn about its length, so that the same face is touched along -{b}, at the same places.",
-            "The gauge reads more when the plunger is pushed in. Both ends may read the same: set the zero as you like.",
+            Message(
+                "Lay the straightedge along {a} on two supports, 0.22 of its length from the ends. The gauge touches it "
+                "along +{b}.",
+                a=a,
+                b=b,
+            ),
+            Message(
+                "Reversed: half a turn about its length, so that the same face is touched along -{b}, at the same places.",
+                b=b,
+            ),
+            Message(
+                "The gauge reads more when the plunger is pushed in. Both ends may read the same: set the zero as you "
+                "like."
+            ),
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:

@@ -17,6 +17,7 @@ import numpy as np
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError, closest_name
 from twin._common.families import ARTEFACTS
+from twin._common.messages import Message
 from twin.measurement.columns import RowNote
 
 UNITS: Final[Mapping[str, Mapping[str, float]]] = {
@@ -177,7 +178,7 @@ def read_sheet(
     if not filled:
         what = "no readings: the sheet is not filled in"
         raise InputError(what, expected="numbers in the columns reading_1_mm …", file=path)
-    empty = tuple(RowNote(row.line, "no reading") for row in every if not len(row.readings))
+    empty = tuple(RowNote(row.line, Message("no reading")) for row in every if not len(row.readings))
     return ArtefactSheet(path, artefact, machine, plane, stated, filled, empty)
 
 
