@@ -333,3 +333,78 @@ def test_heights_of_sinumerik(everywhere: Compensator, name: str, seed: int) -> 
     text = "\n".join([*lines, "G90 G71", "G0 X310. Y210. Z-190.", "M30", ""])
     written = everywhere.compensate(ISO.read(text.encode(), "part.mpf"), ISO).text
     check_same(Control().run(text), Control().run(written), "XYZ".index(names[2]), text, written)
+
+
+def run_plain(text: str) -> list[Motion]:
+    """Execute straight moves and calls of cycles in plain language; positions in mm."""
+    at, motions, parameters = dict.fromkeys("XYZ", 0.0), list[Motion](), dict[str, str]()
+    unit, modal = 25.4 if "INCH" in text.splitlines()[0] else 1.0, False
+    older = ""
+
+    def go(words: str = "", **to: float) -> None:
+        at.update(to)
+        motions.append(("", (at["X"], at["Y"], at["Z"]), words))
+
+    for raw in text.splitlines():
+        line = re.sub(r"^\d+ |;.*|~", "", raw).strip()
+        if line.startswith("CYCL DEF"):
+            name, part = line.split()[2].split(".") if "." in line.split()[2] else (line.split()[2], "0")
+            older = older if part != "0" else ""
+            number, parameters = name, {} if part == "0" else parameters
+            older += line if len(name) < 3 else ""
+        parameters |= dict(re.findall(r"(Q\d+)\s*=\s*([-+.\d]+)", line))
+        if line.startswith("L "):
+            for sign, axis, value in re.findall(r"\b(I?)([XYZ])([-+.\d]+)", line):
+                at[axis] = float(value) * unit + (at[axis] if sign else 0.0)
+            go()
+        modal = (modal or "M89" in line) and "M99" not in line
+        if "M99" not in line and not line.startswith("CYCL CALL") and not (modal and line.startswith("L ")):
+            continue
+        if older:
+            start = at["Z"]
+            go(older, Z=start - 10.0 * unit)
+            go(Z=start)
+            continue
+        surface, clearance = float(parameters["Q203"]) * unit, float(parameters["Q200"]) * unit
+        go(Z=surface + clearance)
+        others = sorted((name, value) for name, value in parameters.items() if name not in ("Q203", "Q204"))
+        go(f"{number} {others}", Z=surface + float(parameters.get("Q201", -7.0)) * unit)
+        go(Z=surface + max(clearance, float(parameters.get("Q204", 0.0)) * unit))
+    return motions
+
+
+@pytest.mark.sample(10)
+@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("number", [*range(200, 210), 240, 241, 1, 2, 17, 18])
+def test_heights_of_plain_language(everywhere: Compensator, number: int, seed: int) -> None:
+    rng = Random(f"{number} {seed}")
+    unit = 25.4 if rng.random() < 0.25 else 1.0
+    places = rng.choice([3, 4])
+    head = f"BEGIN PGM A {'INCH' if unit != 1.0 else 'MM'}"
+
+    def size(value: float, decimals: int = places) -> str:
+        return f"{value / unit:+.{decimals}f}"
+
+    lines = [head, "TOOL CALL 5 Z S5000", f"L X{size(300)} Y{size(200)} Z{size(-200)} B+0 C+0 R0 FMAX M3"]
+    surface = -200.0 - rng.uniform(5.0, 30.0) if number > 18 and rng.random() < 0.8 else -190.0
+    if number > 18:
+        lines += [f"CYCL DEF {number} NAME ~", f"Q200={size(rng.uniform(1, 6))} ~", f"Q201={size(-10)} ~"]
+        second = rng.choice(["", f"Q204={size(rng.uniform(0, 3))} ~", f"Q204={size(rng.uniform(6, 30))} ~"])
+        lines += ["Q206=250 ~", *([second] if second else []), f"Q203={size(surface)}"]
+    else:
+        lines += [f"CYCL DEF {number}.0 NAME", f"CYCL DEF {number}.1 SET UP {size(2)}"]
+        lines += [f"CYCL DEF {number}.2 DEPTH {size(-8)}"]
+    way = rng.choice(["M99", "CALL", "M89"])
+    for i in range(rng.randint(1, 4)):
+        relative = rng.random() < 0.4
+        words = f"IX{size(4)} IY{size(-3)}" if relative else f"X{size(304 + 5 * i)} Y{size(203 + 3 * i)}"
+        words += f" IZ{size(rng.uniform(-1, 3))}" if rng.random() < 0.3 else ""
+        lines.append(
+            f"L {words} FMAX{'' if way == 'CALL' else ' M89' if way == 'M89' and i == 0 else ' M99' if way == 'M99' else ''}"
+        )
+        lines += ["CYCL CALL M8"] if way == "CALL" else []
+    lines += ["L IX+1 FMAX M99"] if way == "M89" else []
+    lines += [f"L IZ{size(1)} FMAX", f"L X{size(310)} Y{size(210)} Z{size(-190)} FMAX", "M30", "END PGM A MM"]
+    text = "".join(f"{i} {line}\n" for i, line in enumerate(lines))
+    written = everywhere.compensate(PLAIN.read(text.encode(), "part.h"), PLAIN).text
+    check_same(run_plain(text), run_plain(written), 2, text, written)

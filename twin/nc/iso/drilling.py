@@ -13,7 +13,7 @@ from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Kept, Stroke
 from twin.nc.iso.frame import IsoBlock, IsoShift, Item
 from twin.nc.modal import CORRECTION_DEG, AxisWord, Span
-from twin.nc.text import MM_PER_INCH, number
+from twin.nc.text import MM_PER_INCH, SAME_MM, number
 
 INCH_CODES: Final = frozenset({"20", "70", "700"})
 CODES: Final = cycles.FANUC | cycles.FANUC_KEPT
@@ -24,8 +24,6 @@ TAP: Final = "33.1"
 """G code of rigid tapping by a spindle that turns (LinuxCNC)."""
 AT_POLE_MM: Final = 1e-6
 """Distance from the zero of the coordinates below which a point has no angle."""
-SAME_MM: Final = 1e-6
-"""Heights that are closer are the same: arguments in inches have more decimals than the height that they state."""
 _DRILLING: Final = {17: 2, 18: 1, 19: 0}
 """The linear axis that drills, by plane."""
 
