@@ -43,7 +43,7 @@ SINUMERIK_ENDS = {
     "CYCLE840": ",0,4,3,1,,1.5",
 }
 Motion = tuple[str, tuple[float, float, float], str]
-"""How a motion ends: rapid or feed, where, and the words of a cycle that the control executes there."""
+"""A motion: rapid or feed, its end, and the words of a cycle that the control executes there."""
 
 
 @pytest.fixture(scope="module")
