@@ -66,7 +66,10 @@ def compare(path: Path, folder: Path, *, known: bool = True, tools: str = "", pa
     line_of = [origin.line for origin in program.origins] or range(1, len(program.texts) + 1)
     lost = {line_of[max(one.line, 0)] for one in reading.lost_positions}
     moved = {motion.line for motion in judge.motions}
-    returns = [one.line for one in reading.lost_positions if line_of[max(one.line, 0)] in moved]
+    read = {move.line for move in reading.moves}  # an arc from an unknown position is a move of twin's, too
+    returns = [
+        one.line for one in reading.lost_positions if line_of[max(one.line, 0)] in moved and one.line not in read
+    ]
 
     def block(move: Move) -> tuple[int, int]:
         """Return the line, and how many reference returns come before: the same line may follow itself in a subprogram."""
@@ -121,7 +124,10 @@ def _block(
         return 0
     one = [event_of(move) for move in moves]
     other = [motion.event for motion in motions]
-    if len(one) > 1 or len(other) > 1:
+    if len(one) == len(other):  # what twin does not know is not compared
+        other = [event for event, move in zip(other, moves, strict=True) if not move.unknown]
+        one = [event for event, move in zip(one, moves, strict=True) if not move.unknown]
+    else:
         one, other = _moving(one, before[1]), _moving(other, before[0])
     shown = f"{moves} and {motions}"
     if len(one) != len(other):

@@ -98,12 +98,15 @@ def _motions(calls: list[tuple[int, str, list[float]]]) -> list[Motion]:
     shifts, turn = dict.fromkeys(_OFFSETS, (0.0,) * 5), 0.0
     plane, at = _PLANES[1], (0.0,) * 5
     for line, name, numbers in calls:
+        machine = _machine(at, shifts, turn)
         if name == "set_plane":
             plane = _PLANES[int(numbers[0])]
         elif name in _OFFSETS:
             shifts[name] = _position(numbers[_OFFSETS[name] :])
+            at = _of_program(machine, shifts, turn)
         elif name == "set_xy_rotation":
             turn = radians(numbers[0])
+            at = _of_program(machine, shifts, turn)
         elif name in ("straight_traverse", "straight_feed"):
             at = _position(numbers)
             found.append(Motion(line, Event(int(name == "straight_feed"), at), _machine(at, shifts, turn)))
@@ -132,6 +135,15 @@ def _machine(at: tuple[float, ...], shifts: dict[str, tuple[float, ...]], turn: 
     x, y, *others = map(sum, zip(at, shifts["set_g92_offset"], strict=True))
     turned = (x * cos(turn) - y * sin(turn), x * sin(turn) + y * cos(turn), *others)
     return tuple(map(sum, zip(turned, shifts["set_g5x_offset"], shifts["tool_offset"], strict=True)))
+
+
+def _of_program(machine: tuple[float, ...], shifts: dict[str, tuple[float, ...]], turn: float) -> tuple[float, ...]:
+    """Return the position in the program's coordinates of a position in the machine's."""
+    x, y, *others = (
+        a - b - c for a, b, c in zip(machine, shifts["set_g5x_offset"], shifts["tool_offset"], strict=True)
+    )
+    turned = (x * cos(turn) + y * sin(turn), -x * sin(turn) + y * cos(turn), *others)
+    return tuple(a - b for a, b in zip(turned, shifts["set_g92_offset"], strict=True))
 
 
 def _arc(

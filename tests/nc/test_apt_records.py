@@ -172,3 +172,25 @@ def test_the_tool_loaded_selects_its_length_from_a_table() -> None:
 def test_statements_of_solidworks(statement: str, known: bool) -> None:
     moves = APT.moves(APT.read(f"{START}{statement}\nGOTO/50,20,40\n".encode(), "part"), AXES, tcp=False).moves
     assert bool(moves[-1].unknown) != known
+
+
+TURNED = "CSYS/0,.999987,.005061,0,-1.,0,0,0,0,-.005061,.999987,0\n"
+"""About z by a quarter, then tilted about the new x."""
+
+
+def test_a_turned_csys_behind_world_turns_nothing_where_the_locations_show_it() -> None:
+    """The tool axis is that of the CSYS in the world's coordinates; in those of the CSYS it would be 0, 0, 1."""
+    world, goto = "TRNTYP/WORLD,0,0,0\n", "GOTO/10,20,30,.005061,0,.999987\nGOTO/12,20,29.99,.005061,0,.999987\n"
+    program = APT.read(
+        (START + world + TURNED + goto + "CSYS/1,0,0,0,0,1,0,0,0,0,1,0\nGOTO/1,2,3,0,0,1\n").encode(), "part"
+    )
+    reading = APT.moves(program, AXES, tcp=False)
+    assert [move.position[:3] for move in reading.moves[1:]] == [(10, 20, 30), (12, 20, 29.99), (1, 2, 3)]
+    assert "CSYS is turned" in " ".join(notice.text for notice in reading.notices)
+    for other in ("GOTO/10,20,30,0,0,1\n", "GOTO/10,20,30\n"):
+        with pytest.raises(InputError, match="without its z as tool axis"):
+            APT.moves(APT.read((START + world + TURNED + other).encode(), "part"), AXES, tcp=False)
+    about_z = "CSYS/0,1,0,0,-1,0,0,0,0,0,1,0\n"  # its z is that of the world: the locations show nothing
+    for unclear in (TURNED + goto, world + about_z + goto, world + TURNED.replace("-1.", "1.") + goto):
+        moves = APT.moves(APT.read((START + unclear).encode(), "part"), AXES, tcp=False).moves
+        assert all(move.unknown for move in moves[1:])

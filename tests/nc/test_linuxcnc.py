@@ -35,6 +35,8 @@ KINDS = {
     "tools": ("line", "line", "tool", "machine"),
     "subprograms": ("line", "call", "assign"),
     "loops": ("line", "loop", "assign"),
+    "unknown positions": ("line", "loop", "arc", "machine", "call"),
+    "arcs in other frames": ("loop", "loop", "arc", "tool", "offset"),
     "cycles": ("line", "cycle", "mode"),
     "polar words": ("line", "polar", "polar", "assign", "mode"),
     "saved modes": ("line", "saved", "mode", "polar"),
@@ -59,7 +61,7 @@ def judged(text: str, folder: Path, *, known: bool = True) -> Comparison:
     return compare(path, folder, known=known, tools=TOOLS, parameters=PARAMETERS)
 
 
-@pytest.mark.sample(63)
+@pytest.mark.sample(70)
 @pytest.mark.parametrize("seed", range(SEEDS))
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_programs(kind: str, seed: int, tmp_path: Path) -> None:

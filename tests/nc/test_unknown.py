@@ -190,6 +190,7 @@ PLANE_OF = {ISO: "G68.2 X0 Y0 Z0 I0 J30 K0\nG53.1", PLAIN: "PLANE SPATIAL SPA+0 
     [
         (ISO, "G10 L2 P1 R30", "G53 G0 X0", "XZ"),
         (ISO, "G10 L2 P1 R30", "G28 X0", "XZ"),
+        (ISO, "G10 L2 P1 R30", "G28.2 X0", "XZ"),
         (ISO, "G10 L2 P1 R30", "G53 G0 Z0", "XY"),
         (ISO, "G10 L2 P1 R0", "G53 G0 X0", "XYZ"),
         (ISO, "ROT Z30", "SUPA G0 X0", "XZ"),

@@ -21,6 +21,8 @@ from twin._common.errors import InputError
 from twin.nc.blocks import Lines, Program, lines_in
 
 MM_PER_INCH = 25.4
+SAME_MM: Final = 1e-6
+"""Heights that are closer are the same: an argument in inches has fewer digits than the height that it states."""
 LARGEST = 1e9
 """Upper limit of coordinates, feeds and parameters (mm, degrees, mm/min); no real program comes near it."""
 

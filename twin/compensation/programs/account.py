@@ -241,15 +241,18 @@ class CompensationAccount:
         pieces, path_errors, rows = corrected.pieces, corrected.path_errors, corrected.own
         legs = pieces.legs.motion
         dense = np.flatnonzero(pieces.interpolated[legs] & (legs >= corrected.context))
-        ways = path_errors.ways(corrected.rows, printed=True, as_run=True)
         # An idle program is written unchanged, so its arcs stay arcs.
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
         portions, varying = path_errors.portions(dense), bool(pieces.conditions.names)
         if self._prepared.backlash.axes:
+            ways = path_errors.ways(corrected.rows, printed=True, as_run=True)
             yield from directed_points(corrected, self._prepared, ends, portions, ways)
             return
         state = self._state(pieces, rows.motion, rows.fraction)
         yield SimulatedPoints(rows.motion, *ends, state, state).of(np.flatnonzero(~rows.backlash_move))
+        if not portions:
+            return
+        ways = path_errors.ways(corrected.rows, printed=True, as_run=True)
         for portion in portions:
             samples = path_errors.samples(portion)
             nominal, written = path_errors.commands(samples, ways)
@@ -284,11 +287,11 @@ class CompensationAccount:
     def _end_point_residuals_um(self, pieces: Pieces, rows: Rows) -> dict[str, np.ndarray]:
         """Return by cause (``rounding``, ``solver``) the (rows,) distance in µm of the tool point from its target at end points."""
         good, state = ~rows.untouched & ~rows.clamped, pieces.state(rows)
-        residual_um = {}
-        for name, commands in (("rounding", rows.commands), ("solver", rows.exact)):
-            distance = pieces.aim.comparison.distance_mm(Commands(rows.nominal), Commands(commands), state)
-            residual_um[name] = distance * 1e3
-            self._residual_um[name] = max(self._residual_um[name], float(residual_um[name][good].max(initial=0.0)))
+        meant, found = np.concatenate([rows.nominal] * 2), np.concatenate([rows.commands, rows.exact])
+        distance = pieces.aim.comparison.distance_mm(Commands(meant), Commands(found), np.concatenate([state] * 2))
+        residual_um = dict(zip(("rounding", "solver"), 1e3 * distance.reshape(2, -1), strict=True))
+        for name, of_rows in residual_um.items():
+            self._residual_um[name] = max(self._residual_um[name], float(of_rows[good].max(initial=0.0)))
         return residual_um
 
     def _tally_correction(self, pieces: Pieces, rows: Rows, lines: np.ndarray) -> None:

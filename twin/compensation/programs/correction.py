@@ -241,11 +241,13 @@ def correct(pieces: Pieces, progress: Progress, *, context: int = 0, before: End
     prepared, lines = pieces.prepared, pieces.path.columns.line + 1
     commands = pieces.space.commands(pieces.end[context:], pieces.tcp[context:])
     check_domains(prepared.real, pieces.source, lines[context:], commands)
-    path_errors = PathErrors(pieces, before)
+    # Backlash depends on how the motion before a stretch ends, and so on its pieces.
+    first = 0 if pieces.aim.backlash.axes else context
+    path_errors = PathErrors(pieces, before, first)
     rows = pieces.ends(np.arange(len(pieces.legs.motion)))
     if not pieces.idle:
         if prepared.thesis is None:
-            rows = _whole(pieces, path_errors, _split(pieces, path_errors, rows, progress))
+            rows = _whole(pieces, path_errors, _split(pieces, path_errors, rows, progress, first))
         _check_arcs(pieces, rows)
         if prepared.thesis is None:
             _check_ranges(pieces, rows)
@@ -255,10 +257,10 @@ def correct(pieces: Pieces, progress: Progress, *, context: int = 0, before: End
     return Corrected(pieces, path_errors, rows, context)
 
 
-def _split(pieces: Pieces, path_errors: PathErrors, rows: Rows, progress: Progress) -> Rows:
-    """Split blocks until the path between their end points is within tolerance, or splitting no longer helps."""
+def _split(pieces: Pieces, path_errors: PathErrors, rows: Rows, progress: Progress, first: int) -> Rows:
+    """Split blocks, from a ``first`` motion on, until the path between end points is within tolerance, or splitting no longer helps."""
     legs, tolerance = pieces.legs, pieces.prepared.options.tolerance_mm
-    candidates = np.flatnonzero((pieces.interpolated & ~pieces.whole)[legs.motion])
+    candidates = np.flatnonzero((pieces.interpolated & ~pieces.whole)[legs.motion] & (legs.motion >= first))
     for step in range(1, MOST_ROUNDS + 1):
         if not candidates.size:
             break

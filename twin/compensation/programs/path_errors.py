@@ -51,9 +51,13 @@ class EndState(NamedTuple):
 
 @final
 class PathErrors:
-    """Errors of a stretch of a program between the end points of its pieces; ``before``: end of the stretch before, if any."""
+    """Errors of a stretch of a program between the end points of its pieces.
 
-    def __init__(self, pieces: Pieces, before: EndState | None = None) -> None:
+    ``before``: end of the stretch before, if any; ``first``: the first motion whose errors between end points are asked for.
+    """
+
+    def __init__(self, pieces: Pieces, before: EndState | None = None, first: int = 0) -> None:
+        self._first = first
         self._pieces, self._space, self._before = pieces, pieces.space, before
         self._starts: tuple[tuple[bytes, bytes], Rows] | None = None
         self._cached_mm = np.full(len(pieces.legs.motion), np.nan)
@@ -65,7 +69,7 @@ class PathErrors:
     def motion_errors_mm(self, rows: Rows) -> np.ndarray:
         """Return (motions,) the largest error (mm) inside each motion, as in `leg_errors_mm`; 0 where no path is defined."""
         motion = self._pieces.legs.motion
-        legs = np.flatnonzero(self._pieces.interpolated[motion])
+        legs = np.flatnonzero(self._pieces.interpolated[motion] & (motion >= self._first))
         unknown = legs[np.isnan(self._cached_mm[legs])]
         if unknown.size:
             self.leg_errors_mm(unknown, rows)
@@ -216,7 +220,7 @@ class PathErrors:
     # --- ways of pieces ----------------------------------------------------------------------------------------------
 
     def ways(self, rows: Rows, *, printed: bool, as_run: bool) -> Ways:
-        """Return the way of each piece, between words ``printed`` or before rounding.
+        """Return the way of each piece of interpolated motions, between words ``printed`` or before rounding.
 
         With ``as_run``, a motion after a line left as written starts at its actual position. For splitting it is assumed to start
         compensated, because splitting cannot correct its starting point.
@@ -225,7 +229,8 @@ class PathErrors:
         before = self._before
         at_start = end_words[0] if before is None else before.printed if printed else before.exact
         begin = np.concatenate([at_start[None], end_words[:-1]])
-        separate = np.flatnonzero(~self._follows & rows_all_true(np.isfinite(self._pieces.start)))
+        separate = np.flatnonzero(~self._follows & self._pieces.interpolated)
+        separate = separate[separate >= self._first]
         if separate.size:
             first = np.searchsorted(rows.motion, separate)
             begin[first] = self._start_words(separate, rows.approach[first], begin[first], as_run=as_run)

@@ -352,7 +352,8 @@ class Pieces:
         self.by_vector = columns.by_vector & (not posted)
         self.interpolated = ~columns.rapid & rows_all_true(np.isfinite(self.start)) & (self.straight | ~self.whole)
         # From outside the range there is no nominal path; such a start is reported with its own block.
-        self.interpolated &= ~prepared.outside(self.space.commands(self.start, self.tcp))
+        if self.interpolated.any():
+            self.interpolated &= ~prepared.outside(self.space.commands(self.start, self.tcp))
         turning = turning_points(prepared, path, np.flatnonzero(self.interpolated), aim.backlash.axes)
         self.legs = Legs.of(len(columns), turning)
         if not self.idle:

@@ -215,6 +215,8 @@ _AUXILIARY = frozenset({*range(15), 19, 30})
 _IDENTITY = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 _CSYS_IDENTITY = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 _IDENTITY_ROWS = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+_ALONG_Z = 1e-4
+"""Largest difference of the tool axis from the z of a turned CSYS; both are printed with few decimals."""
 _OWN_BLOCK = re.compile(r"[ \t]*(?:(?:/\d?|N\d+)[ \t]*)?[A-Z#$][ \t]*[-+.\d#\[=<]", re.ASCII | re.IGNORECASE)
 """Beginning of a block of a control in the text of ``INSERT``."""
 _PARALLEL = 1e-6
@@ -245,6 +247,9 @@ class AptReader:
         self._side = self._on_contour = False
         self._at: tuple[float, ...] = (math.nan,) * 3
         self._csys: list[float] | None = None
+        self._turned: tuple[float, float, float] | None = None
+        """Direction of z of a turned CSYS, which is the tool axis of its locations if they are in the world's coordinates."""
+        self._in_world = False
         self._circle: tuple[Statement, list[float]] | None = None
         self.end = ProgramEnd()
         self._noted: set[str] = set()
@@ -254,7 +259,8 @@ class AptReader:
     def alone(self) -> bool:
         """Whether the next location must be read alone: rapid, hole, beside the contour, end of an arc, unknown, or after the end."""
         beside = self._side or self._on_contour
-        return self.rapid or self.cycle or beside or self._circle is not None or bool(self.unknown or self.end.word)
+        other = beside or self._turned is not None or self._circle is not None
+        return self.rapid or self.cycle or other or bool(self.unknown or self.end.word)
 
     def error(self, what: str, value: object, expected: str) -> InputError:
         """Return an error at the current statement."""
@@ -344,18 +350,31 @@ class AptReader:
             self.note("MSYS is not the identity: its frame is assumed to be the work frame", once=True)
 
     def _coordinates(self, statement: Statement) -> None:
-        """Take the coordinate system of the set-up: the same one for all locations is the work frame, wherever its zero is."""
+        """Take the coordinate system of the set-up: the same one for all locations is the work frame, wherever its zero is.
+
+        A turned one behind ``TRNTYP/WORLD`` turns nothing: every location must show it, by a tool axis along its z.
+        """
         values = [number(text) for text in statement.texts]
+        self._turned = None
         shifted = self._csys is None and values[:3] + values[4:7] + values[8:11] == _IDENTITY_ROWS and len(values) == 12
         if shifted and values != _CSYS_IDENTITY and self._at[0] != self._at[0]:
             self.note("CSYS is shifted: the locations are taken to be in its coordinates, the work frame", once=True)
             self._csys = values
-        elif values != (self._csys or _CSYS_IDENTITY):
+        elif values == (self._csys or _CSYS_IDENTITY):
+            return
+        elif self._in_world and self._csys is None and _turns_z(values):
+            self.note(
+                "CSYS is turned: the locations, whose tool axis is its z, are taken to be in the world's coordinates",
+                once=True,
+            )
+            self._turned = values[2], values[6], values[10]
+        else:
             self._lose(statement)
 
     def _transformation(self, statement: Statement) -> None:
         if statement.texts[:1] != ["WORLD"] or any(number(text) != 0.0 for text in statement.texts[1:]):
             self._lose(statement)
+        self._in_world = statement.texts[:1] == ["WORLD"]
 
     def _insert(self, statement: Statement) -> None:
         if _OWN_BLOCK.match(statement.arguments):
@@ -437,6 +456,12 @@ class AptReader:
                 self.note(f"tool vector of length {length:.6g} normalised")
         else:
             vector = self.vector
+        if self._turned is not None and (len(values) == 3 or math.dist(vector, self._turned) > _ALONG_Z):
+            raise self.error(
+                "location in a turned CSYS without its z as tool axis",
+                shown,
+                "x,y,z,i,j,k in the world's coordinates",
+            )
         unit = self.unit
         position = (values[0] * unit, values[1] * unit, values[2] * unit, *self.rotary)
         kind = Kind.RAPID if statement.word == "FROM" or self.rapid or self.cycle else Kind.LINEAR
@@ -465,6 +490,15 @@ class AptReader:
             shown = f"one tool per program (locations before use {self._used_tool}), or the table of tools"
             raise self.error("second tool", expected, shown)
         self._used_tool = self._tool or self._used_tool
+
+
+def _turns_z(values: list[float]) -> bool:
+    """Return whether the twelve numbers of CSYS, rows of axes and origin, have right-handed axes, z other than that of the world."""
+    if len(values) != 12 or not all(map(math.isfinite, values)):
+        return False
+    axes = np.array(values).reshape(3, 4)[:, :3]
+    right = np.abs(axes.T @ axes - np.eye(3)).max() < _ALONG_Z and np.linalg.det(axes) > 0.0
+    return bool(right and np.abs(axes[:, 2] - [0.0, 0.0, 1.0]).max() > 10.0 * _ALONG_Z)
 
 
 def _turns(one: Vector, other: Vector) -> bool:

@@ -26,10 +26,13 @@ from twin.nc.heidenhain.vocabulary import HEAD, UNNUMBERED, numbered_as, renumbe
 from twin.nc.inline import Inliner
 from twin.nc.lines import LineCode, line_code
 from twin.nc.text import (
+    MM_PER_INCH,
+    SAME_MM,
     Style,
     apply_edits,
     ending,
     first_lines,
+    format_number,
     insert_comments,
     missing_comments,
     newline_of,
@@ -161,17 +164,25 @@ class HeidenhainWriter(WordWriter[PathBlock]):
                     lines.append(f"{indent}L {' '.join(words)} R0 FMAX{end}")
             place = max(place, call.moves)
             shift = self.said.value[call.axis] - call.top
+            level = call.level + shift
             if call.surface == call.surface:
-                lines += self._definition(block, call, shift, indent, end)
-            self.said.record(call.axis, call.level + shift, False)
+                self.said.number_for(call.axis, level, block.inch, False, self.style)
+                level = self.said.value[call.axis] if call.level > call.top else level
+                lines += self._definition(block, call, shift, level, indent, end)
+            self.said.record(call.axis, level, False)
             if block.positions or block.calls or block.pattern:
                 lines.append(f"{indent}CYCL CALL{end}")
         return lines
 
-    def _definition(self, block: PathBlock, call: CycleCall, shift: float, indent: str, end: str) -> list[str]:
-        """Return the definition of a cycle with the surface shifted, none if it is in force."""
-        number = self.said.number_for(call.axis, call.surface + shift, block.inch, False, self.style)
-        new = {"Q203": number} if abs(call.surface + shift - call.defined) > 1e-9 else {}
+    def _definition(
+        self, block: PathBlock, call: CycleCall, shift: float, level: float, indent: str, end: str
+    ) -> list[str]:
+        """Return the definition of a cycle with the surface shifted, none if it is in force; ``level``: the height at which it ends."""
+        unit, surface = MM_PER_INCH if block.inch else 1.0, call.surface + shift
+        # The surface is not rounded, so that it is the clearance below the height reached.
+        new = {"Q203": format_number(surface / unit, 9, self.style)} if abs(surface - call.defined) > 1e-9 else {}
+        if abs(call.level + shift - level) > SAME_MM:
+            new["Q204"] = format_number((level - surface) / unit, 9, self.style)
         values = {**dict(call.texts), **new}
         cycle, before = self._defined
         if values == (before if cycle is call.cycle else {}):

@@ -18,7 +18,7 @@ from twin.nc.arcs import MOST_TURNS, ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.blocks import Arc, Kind, Move, Plane, Rows, product, rotation_about, rotation_along, rotation_through
 from twin.nc.heidenhain import vocabulary
 from twin.nc.modal import BESIDE, CORRECTION_DEG, Block, Interpreter, Span
-from twin.nc.text import MM_PER_INCH
+from twin.nc.text import MM_PER_INCH, SAME_MM
 
 # --- Data of one block ----------------------------------------------------------------------------
 
@@ -283,7 +283,7 @@ class HeidenhainCycles(Interpreter):
         surface, top, level = math.nan, at, at
         if cycle.number in HOLES:
             surface, top, level = self._heights(what, shift, texts)
-        if abs(top - at) > 1e-9:
+        if abs(top - at) > SAME_MM:
             self.position[axis] = top
             named = frozenset((name,))
             block.moves += (Move(self._line, Kind.RAPID, False, tuple(self.position), named),)

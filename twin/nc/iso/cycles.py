@@ -30,12 +30,14 @@ class Kept(NamedTuple):
         parts: the text of the cycle: what is written as it is, and heights in mm.
         relative: the same where words are increments; None if the heights are absolute there, too.
         thread: whether it taps a thread of Fanuc, which may be rigid.
+        exact: place of the height that is not rounded: its sum with another argument is the height at which feeding begins.
     """
 
     top: float
     parts: tuple[str | float, ...]
     relative: tuple[str | float, ...] | None = None
     thread: bool = False
+    exact: int | None = None
 
 
 class Stroke(NamedTuple):
@@ -176,6 +178,8 @@ _SINUMERIK: Final[Mapping[str, tuple[int, Callable[[float, float, Sequence[float
 _DRILLING_AXIS: Final[Mapping[str, int]] = {"CYCLE83": 12, "CYCLE84": 12, "CYCLE840": 11}
 """Place of the argument for the drilling axis: 1 or 2 is another axis than the third one of the plane."""
 MOST_ARGUMENTS: Final = 40
+_LENGTHS: Final = 7
+"""Arguments that are lengths: those of every cycle, and the first depth of CYCLE83 (a dwell in its place is only compared with 0)."""
 SINUMERIK: Final = frozenset({f"CYCLE{number}" for number in (*range(81, 90), 840)})
 
 
@@ -192,6 +196,7 @@ def of_sinumerik(name: str, arguments: str, value_of: Callable[[str], float], un
     count = len(texts)
     texts += [""] * (MOST_ARGUMENTS - count)
     values = [value_of(text) if text else 0.0 for text in texts]
+    values[:_LENGTHS] = [value * unit_mm for value in values[:_LENGTHS]]
     if not all(map(math.isfinite, values[:5])):
         raise ValueError("arguments with known values")
     retract, reference, distance, depth = values[:4]
@@ -209,26 +214,27 @@ def of_sinumerik(name: str, arguments: str, value_of: Callable[[str], float], un
         if depth >= reference:
             raise ValueError("a depth below the reference plane, and a retraction plane above both")
         down = inside(top, depth, values, texts)
-    approach = Stroke(top * unit_mm, Kind.RAPID)
+    approach = Stroke(top, Kind.RAPID)
     if not down:
-        return Drilling((approach, _kept(name, texts[:count], values, top, unit_mm)), retract * unit_mm)
-    scaled = [stroke._replace(height=stroke.height * unit_mm) for stroke in down]
-    return Drilling((approach, *scaled, Stroke(retract * unit_mm, Kind.RAPID)))
+        return Drilling((approach, _kept(name, texts[:count], values, top)), retract)
+    return Drilling((approach, *down, Stroke(retract, Kind.RAPID)))
 
 
-def _kept(name: str, texts: Sequence[str], values: Sequence[float], top: float, unit_mm: float) -> Stroke:
+def _kept(name: str, texts: Sequence[str], values: Sequence[float], top: float) -> Stroke:
     """Return a cycle of SINUMERIK that is left to the control: its absolute heights are shifted, the other arguments are kept."""
     absolute = {0, 1, 3} | ({5} if name == "CYCLE83" else set())
     parts: list[str | float] = [f"{name}("]
+    exact: int | None = None
     for place, text in enumerate(texts):
         parts.append(", " if place else "")
-        if place in absolute and text:
+        if place in absolute and (text or place < 2):  # 0 is meant where the first two are empty
             if not math.isfinite(values[place]):
                 raise ValueError("arguments with known values")
-            parts.append(values[place] * unit_mm)
+            exact = len(parts) if place == 1 else exact
+            parts.append(values[place])
         else:
             parts.append(text)
-    return Stroke(math.nan, Kind.LINEAR, kept=Kept(top * unit_mm, (*parts, ")")))
+    return Stroke(math.nan, Kind.LINEAR, kept=Kept(top, (*parts, ")"), exact=exact))
 
 
 def _row(values: Sequence[float]) -> list[Point]:

@@ -13,7 +13,7 @@ from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Kept, Stroke
 from twin.nc.iso.frame import IsoBlock, IsoShift, Item
 from twin.nc.modal import CORRECTION_DEG, AxisWord, Span
-from twin.nc.text import MM_PER_INCH, number
+from twin.nc.text import MM_PER_INCH, SAME_MM, number
 
 INCH_CODES: Final = frozenset({"20", "70", "700"})
 CODES: Final = cycles.FANUC | cycles.FANUC_KEPT
@@ -50,6 +50,8 @@ class IsoDrilling(IsoShift):
     _initial = math.nan
     _words = _feed = ""
     _repeats = 1
+    _below: tuple[float, ...] = ()
+    """The position from which LinuxCNC raises the tool before it goes to the hole of the block; empty if it does not."""
 
     @property
     def drilling(self) -> int:
@@ -73,7 +75,8 @@ class IsoDrilling(IsoShift):
             if not self.code:
                 self._motion_before, self._initial = self.motion, math.nan
                 self._height: dict[str, float] = {}
-                self._dwell = ""
+            if not self.code or (code != self.code and self.control == "LinuxCNC"):
+                self._texts: dict[str, str] = {}
             self.code, self.motion = code, 0  # positions between holes are rapid
             block.cycle_words.append(span)
             return True
@@ -113,7 +116,7 @@ class IsoDrilling(IsoShift):
         A block with an axis word or R does. P and Q in any other block belong to another word (``G4 P1``, ``G64 P0.01``, ``G5.1 Q1``).
         """
         level_stated, self._level_stated = self._level_stated, False
-        self._repeats = 1
+        self._repeats, self._below = 1, ()
         if not self.code:
             return False
         stated = bool(block.cycle_words)
@@ -134,6 +137,10 @@ class IsoDrilling(IsoShift):
         self._check_increments()
         if stated or (level_stated and self.cycle is not None):
             self.cycle, self._cycle_plane = self._cycle(), self.plane
+        at, top = self.position[self.drilling], self._height.get("R", math.nan)
+        first = abs(at - top) > 1e-9 if self._initial < top - 1e-9 else at < min(top + 2e-9, self._retract) - 1e-9
+        if self.control == "LinuxCNC" and first:
+            self._below = tuple(self.position)
         return self._repeats > 0 or self._only_defines(block)
 
     def _take_values(self, block: IsoBlock) -> bool:
@@ -148,8 +155,8 @@ class IsoDrilling(IsoShift):
             elif item.name == depth or item.name in own:
                 value = self.known_value(item.name, item.value, "a number")
                 found["Z" if item.name == depth else item.name] = value * unit
-                if item.name == "P":
-                    self._dwell = item.value.strip()
+                if item.name not in ("R", depth):
+                    self._texts[item.name] = item.value.strip()
             else:
                 kept.append(item)
                 continue
@@ -232,7 +239,7 @@ class IsoDrilling(IsoShift):
         step = given.get("@", 0.0) * unit, given.get("^", 0.0)
         if self.incremental:
             block.polar_step = step
-            to = self.polar_place(step)
+            to = polar_place(step, x, y)
         else:
             radius = step[0] if "@" in given else math.hypot(x, y)
             angle = math.radians(step[1]) if "^" in given else math.atan2(y, x)
@@ -243,12 +250,6 @@ class IsoDrilling(IsoShift):
         for name, (start, end), place, at in zip("XY", spans, to, (x, y), strict=True):
             value = place - at if self.incremental else place
             block.items.append(Item(name, start, end, start, end, f"{vocabulary.POLAR}{value!r}"))
-
-    def polar_place(self, step: tuple[float, float]) -> tuple[float, float]:
-        """Return the place whose distance and angle, degrees, are larger by a step than those of the present position."""
-        x, y = self.position[:2]
-        radius, angle = math.hypot(x, y) + step[0], math.atan2(y, x) + math.radians(step[1])
-        return radius * math.cos(angle), radius * math.sin(angle)
 
     def axis_word(self, item: Item, *, machine: bool) -> AxisWord:
         """Return an axis word with its value; raise `InputError` if that is unknown and not in machine coordinates."""
@@ -300,8 +301,10 @@ class IsoDrilling(IsoShift):
             raise self._refused(what, f"{depth} and R in the block of the cycle")
         if self.code == "76" and {"J", "K"} <= names:
             raise self._refused("thread of LinuxCNC", vocabulary.LINEAR)
-        others = [span for span in block.cycle_words if span.name not in (self.code, depth, "R", *_REPEATS)]
-        self._words = " ".join(block.text[span.start : span.end].strip() for span in others)
+        if self.code in cycles.FANUC_TAPPING and self.plane != 17 and self.control == "LinuxCNC":
+            raise self._refused(f"thread in G{self.plane}, which LinuxCNC 2.9 taps along another axis", "G17")
+        own = _MODAL | set(cycles.FANUC_WORDS.get(self.code, ""))
+        self._words = " ".join(f"{name}{text}" for name, text in self._texts.items() if name in own)
         self._feed = self._feed if block.feed is not None else ""
 
     def _cycle(self) -> Drilling:
@@ -325,29 +328,29 @@ class IsoDrilling(IsoShift):
             )
         if not self._level_given:
             self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
-        self._check_height(axis, at, top)
+        self._check_height(at, top)
         if self._left:
             self.note_kept(f"G{self.code}")
         if self.code == cycles.FROM_INITIAL and (self.incremental or at != self._initial):
             raise self._refused("increments, or not at the initial level", f"G90 and {axis} at the initial level")
         try:
             words = axis, f"{self._words} {self._feed}".strip()
-            return cycles.of_fanuc(self.code, self._height, self._dwell, retract, words)
+            return cycles.of_fanuc(self.code, self._height, self._texts.get("P", ""), retract, words)
         except ValueError as error:
             raise self._refused("cycle", str(error)) from None
 
-    def _check_height(self, axis: str, at: float, top: float) -> None:
-        """Note, or refuse where the control raises the tool first, a cycle from below the height at which the tool goes on."""
-        if not (at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9)):
-            return
-        if self.control == "LinuxCNC":
-            expected = f"{axis} at R or above: the control would raise it before it goes to the hole"
-            raise self._refused(f"{axis} is below R", expected)
-        self.note(
-            "the tool goes to this hole at the height of the one before (Fanuc); LinuxCNC raises it first to the new R "
-            "or, after G98, to the initial level",
-            once=True,
-        )
+    def _check_height(self, at: float, top: float) -> None:
+        """Note a cycle from below the height at which the tool goes on, which LinuxCNC raises first."""
+        if (
+            self.control != "LinuxCNC"
+            and at < max(top, self._retract) - 1e-9
+            and (self.cycle is not None or at < top - 1e-9)
+        ):
+            self.note(
+                "the tool goes to this hole at the height of the one before (Fanuc); LinuxCNC raises it first to the new R "
+                "or, after G98, to the initial level",
+                once=True,
+            )
 
     def note_kept(self, name: str) -> None:
         """Note that a cycle is left to the control."""
@@ -417,7 +420,7 @@ class IsoDrilling(IsoShift):
         """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay."""
         height, strokes = self.position[self.drilling], list[Stroke]()
         for stroke in () if self.cycle is None else self.cycle.strokes:
-            if stroke.height == stroke.height and (abs(stroke.height - height) > 1e-9 or height != height):
+            if stroke.height == stroke.height and (abs(stroke.height - height) > SAME_MM or height != height):
                 height = stroke.height
                 strokes.append(stroke)
             elif stroke.after or stroke.kept is not None:
@@ -448,21 +451,44 @@ class IsoDrilling(IsoShift):
         if (block.pattern or self._repeats > 1) and any(value != value for value in self.position[: self.linear]):
             raise self.error("several holes from an unknown position", "a position of every linear axis before them")
         self.use_set_up(Kind.LINEAR)
-        increments = {word.axis: word.value for word in block.words if word.incremental}
         done: list[Stroke] = []
-        block.repeats = self._repeats
-        for hole in range(len(block.pattern) or block.repeats):
-            if block.pattern:
-                self._go_to(block, done, block.pattern[hole])
-            elif hole:
-                to = {axis: self.position[axis] + value for axis, value in increments.items()}
-                to |= dict(enumerate(self.polar_place(block.polar_step))) if block.polar_step else {}
-                self._go_to(block, done, to)
-            done += self._strike(block)
+        block.repeats, places = self._repeats, block.pattern or self._places(block)
+        if self._below:
+            self._raise_first(block, places, done)
+        for hole, place in enumerate(places):
+            if hole or not block.positions:
+                self._go_to(block, done, place)
+            done += self._strike(block, self.strokes())
             if cycle.level == cycle.level:
                 self.position[self.drilling] = cycle.level
         block.drilling, block.drilling_axis = Drilling(tuple(done), cycle.level), self.drilling
         self.drilled.append(range(self._line, self._line + 1))
+
+    def _places(self, block: IsoBlock) -> list[dict[int, float]]:
+        """Return the places of a block's holes by axis, each further than the one before by the increments of its words."""
+        places = [{word.axis: self.position[word.axis] for word in block.words}]
+        increments = {word.axis: word.value for word in block.words if word.incremental}
+        for _ in range(1, self._repeats):
+            last = places[-1]
+            to = {axis: last[axis] + value for axis, value in increments.items()}
+            places.append(
+                to | dict(enumerate(polar_place(block.polar_step, last[0], last[1]))) if block.polar_step else to
+            )
+        return places
+
+    def _raise_first(self, block: IsoBlock, places: list[dict[int, float]], done: list[Stroke]) -> None:
+        """Raise the tool before or while it goes to the first hole of a block: its positioning becomes one of the moves of the cycle.
+
+        From an initial level below R, LinuxCNC goes straight to R first, else on the way.
+        """
+        if block.words:
+            block.moves, block.positions = block.moves[:-1], False
+            block.cycle_words += (Span(word.start, word.end, "") for word in block.words)
+        block.repeats, block.pattern, self.position = 1, places, list(self._below)
+        if self._initial < self._height["R"]:
+            done += self._strike(block, [Stroke(self._height["R"], Kind.RAPID)])
+        else:
+            places[0][self.drilling] = self._retract
 
     def _go_to(self, block: IsoBlock, done: list[Stroke], place: Mapping[int, float]) -> None:
         """Add the positioning over the next hole to the moves and strokes of a block, if it moves."""
@@ -475,11 +501,17 @@ class IsoDrilling(IsoShift):
         block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named),)
         done.append(Stroke(self.position[self.drilling], kind))
 
-    def _strike(self, block: IsoBlock) -> list[Stroke]:
-        """Add the strokes at one hole to the moves of a block and return them."""
-        named, strokes = frozenset(self.names[self.drilling : self.drilling + 1]), self.strokes()
+    def _strike(self, block: IsoBlock, strokes: list[Stroke]) -> list[Stroke]:
+        """Add strokes at one hole to the moves of a block and return them."""
+        named = frozenset(self.names[self.drilling : self.drilling + 1])
         for stroke in strokes:
             if stroke.height == stroke.height:
                 self.position[self.drilling] = stroke.height
                 block.moves += (Move(self._line, stroke.kind, self.tcp, tuple(self.position), named),)
         return strokes
+
+
+def polar_place(step: tuple[float, float], x: float, y: float) -> tuple[float, float]:
+    """Return the place whose distance and angle, degrees, are larger by a step than those of another one."""
+    radius, angle = math.hypot(x, y) + step[0], math.atan2(y, x) + math.radians(step[1])
+    return radius * math.cos(angle), radius * math.sin(angle)

@@ -233,12 +233,17 @@ class IsoWriter(WordWriter[IsoBlock]):
         reached = self.said.value[axis]
         parts = kept.parts if kept.relative is None or not block.incremental else kept.relative
         shift = reached - kept.top if parts is kept.parts else 0.0
-        texts = [
-            part if isinstance(part, str) else self.said.number_for(axis, part + shift, block.inch, False, self.style)
-            for part in parts
-        ]
-        ends = reached if drilling.level != drilling.level else drilling.level + shift
-        self.said.record(axis, ends, False)
+        texts: list[str] = []
+        for place, part in enumerate(parts):
+            if isinstance(part, str):
+                texts.append(part)
+            elif place == kept.exact:
+                texts.append(format_number((part + shift) / (MM_PER_INCH if block.inch else 1.0), 9, self.style))
+            else:
+                texts.append(self.said.number_for(axis, part + shift, block.inch, False, self.style))
+                if part == drilling.level:
+                    reached = self.said.value[axis]
+        self.said.record(axis, reached, False)
         self.motion = None  # the control's own cycle is in force
         return "".join(texts)
 
