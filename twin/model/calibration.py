@@ -54,6 +54,7 @@ from twin.model.effects.empirical import channel_name, check_ranges
 from twin.model.effects.entries import distinguished, entry_of, payload_entries, payloads_on
 from twin.model.effects.gravity_compliance import AddedLoad, carrying
 from twin.model.effects.table_load import with_payloads
+from twin.model.effects.thermal_response import ThermalResponse
 from twin.model.motion_curve import Curve, conversion_of, sum_of_curves
 from twin.numerics.covariance import Covariance, not_a_covariance
 from twin.numerics.curves import Basis, basis_named
@@ -230,7 +231,11 @@ class Calibration(DisplayedResult):
             data["effects"] = [
                 *payload_entries(self.extra, self.machine),
                 *(
-                    entry_of_empirical(effect) if isinstance(effect, Empirical) else entry_of(effect)
+                    entry_of_empirical(effect)
+                    if isinstance(effect, Empirical)
+                    else effect.entry
+                    if isinstance(effect, ThermalResponse)
+                    else entry_of(effect)
                     for effect in self.extra
                 ),
             ]
@@ -487,6 +492,11 @@ class Calibration(DisplayedResult):
     def empirical(self) -> tuple[Empirical, ...]:
         """Effects of unknown cause, each valid only within its ranges."""
         return tuple(effect for effect in self.extra if isinstance(effect, Empirical))
+
+    @cached_property
+    def bounded(self) -> tuple[Empirical | ThermalResponse, ...]:
+        """Effects that are valid only within their ranges."""
+        return tuple(effect for effect in self.extra if isinstance(effect, Empirical | ThermalResponse))
 
     def outside(self, positions: np.ndarray) -> np.ndarray:
         """Return (n, axes) whether positions (mm, degrees) leave a curve's domain or an empirical effect's range, beyond rounding."""

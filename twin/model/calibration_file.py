@@ -42,7 +42,11 @@ from twin.model.effects.empirical import FrameRotation, channel_name
 from twin.model.effects.entries import effect_named, payload_named
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD
 from twin.model.effects.harmonic import Kind, Waves
+from twin.model.effects.spindle_growth import LARGEST_EXPONENT
 from twin.model.effects.table_load import TableLoad
+from twin.model.effects.thermal_drift import LARGEST_DRIFT_UM, LONGEST_S
+from twin.model.effects.thermal_response import NAME as RESPONSE
+from twin.model.effects.thermal_response import ResponseTerm, thermal_response
 from twin.numerics.covariance import Covariance
 
 NAME: Final = "empirical"
@@ -236,8 +240,17 @@ class ColumnEntry(FileEntry):
     range: tuple[float, float] | None = None
 
 
+class TermEntry(FileEntry):
+    """One term of a thermal response."""
+
+    columns: tuple[str, ...]
+    time_constant: Annotated[float, Field(ge=0.0, le=LONGEST_S)]
+    exponent: Annotated[float, Field(ge=0.0, le=LARGEST_EXPONENT)]
+    coefficient: Annotated[float, Field(ge=-LARGEST_DRIFT_UM, le=LARGEST_DRIFT_UM)]
+
+
 class EffectEntry(FileEntry):
-    """One effect; the last four fields apply only to an empirical effect."""
+    """One effect; four fields apply only to an empirical effect, the last three only to a thermal response."""
 
     effect: str
     where: str
@@ -246,6 +259,9 @@ class EffectEntry(FileEntry):
     note: str = ""
     along: Along | None = None
     columns: tuple[ColumnEntry, ...] = ()
+    ranges: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    reference_degC: dict[str, float] = Field(default_factory=dict)
+    terms: tuple[TermEntry, ...] = ()
 
 
 class CovarianceEntry(FileEntry):
@@ -401,10 +417,24 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
 
 
 def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -> Effect:
+    if entry.effect != NAME and (entry.cause is not None or entry.along is not None or entry.columns):
+        what = f"{entry.effect} has a known cause and form"
+        raise InputError(what, expected=f"cause, along and columns only with {NAME}")
+    if entry.effect == RESPONSE:
+        terms = [ResponseTerm(**dict(term)) for term in entry.terms]
+        if tuple(entry.parameters) != ("offset",):
+            raise InputError(
+                f"parameters of {RESPONSE} {entry.where}",
+                expected="offset",
+                value=", ".join(entry.parameters) or "none",
+            )
+        offset = entry.parameters["offset"]
+        return thermal_response(machine, entry.where, offset, terms, entry.reference_degC, entry.ranges)
+    if entry.ranges or entry.reference_degC or entry.terms:
+        raise InputError(
+            f"{entry.effect} has no terms", expected=f"ranges, reference_degC and terms only with {RESPONSE}"
+        )
     if entry.effect != NAME:
-        if entry.cause is not None or entry.along is not None or entry.columns:
-            what = f"{entry.effect} has a known cause and form"
-            raise InputError(what, expected=f"cause, along and columns only with {NAME}")
         return effect_named(entry.effect, entry.where, entry.parameters, machine, payloads)
     if entry.cause is None or entry.along is None:
         raise InputError(

@@ -123,8 +123,10 @@ def candidates(groups: Sequence[tuple[str, ...]], speeds: bool, duration_s: floa
     return candidates
 
 
-def lagged(values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state: float | None = None) -> np.ndarray:
-    """Return the first-order lag of an input that is linear between rows; (n,).
+def lagged(
+    values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state: float | None = None, *, held: bool = False
+) -> np.ndarray:
+    """Return the first-order lag of an input that is linear between rows, or has each row's value since the row before; (n,).
 
     ``values``: the input (n,); ``time_s``: times (n,); ``time_constant_s``: 0 returns the input; ``state``: state at the first row; the
     first value (steady state) if None.
@@ -132,7 +134,10 @@ def lagged(values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state
     if time_constant_s == 0.0:
         return np.array(values, dtype=float)
     first = float(values[0]) if state is None else state
-    return np.r_[first, follow(np.diff(time_s), values[:-1], values[1:], time_constant_s, first)]
+    return np.r_[
+        first,
+        follow(np.diff(time_s), values[1 if held else 0 :][: len(values) - 1], values[1:], time_constant_s, first),
+    ]
 
 
 def drivers(record: ThermalRecord, terms: Sequence[TermCandidate], inputs: Inputs) -> np.ndarray:
@@ -161,7 +166,8 @@ def features(
             features[:, j] = -np.expm1(-(record.time_s - inputs.start_s) / term.time_constant_s)
         else:
             state = None if states is None else float(states[j])
-            features[:, j] = lagged(features[:, j], record.time_s, term.time_constant_s, state)
+            held = term.exponent > 0.0
+            features[:, j] = lagged(features[:, j], record.time_s, term.time_constant_s, state, held=held)
     return features
 
 
@@ -178,8 +184,8 @@ CONSTANT_UM: Final = 2.0
 """Prior standard deviation of the constant: displacements count from the start of the record."""
 RESIDUAL_SHARES: Final = np.geomspace(0.03, 1.5, 11)
 """Standard deviations of the residual tried, relative to the displacement's variation."""
-RESIDUAL_TIME: Final = 2.0
-"""Correlation time of the residual in durations of the record: it wanders, since what no term describes lasts as long as they do."""
+RESIDUAL_TIMES: Final = (1.0 / 24.0, 2.0)
+"""Correlation times of the residual tried, in durations of the record: errors that fade, or that wander as long as the terms last."""
 
 
 LEAST_SHARE: Final = 1e-3
@@ -240,13 +246,16 @@ class Evidence:
         self.size = y.shape[1]
         self._known: dict[tuple[tuple[int, ...], int, int], float] = {}
         design = np.c_[x, np.ones(len(x))] * self.scale
-        correlation = np.exp(-np.abs(time_s[:, None] - time_s) / (RESIDUAL_TIME * duration_s))
+        apart = np.abs(time_s[:, None] - time_s) / duration_s
+        correlations = [np.exp(-apart / part) for part in RESIDUAL_TIMES for _ in RESIDUAL_SHARES]
         self.spread_um = [max(float(y[:, c].std()), float(noise_um[c]), 1e-3) for c in range(self.size)]
-        self.residual_um = [[spread * share for share in RESIDUAL_SHARES] for spread in self.spread_um]
+        self.residual_um = [
+            [spread * share for _ in RESIDUAL_TIMES for share in RESIDUAL_SHARES] for spread in self.spread_um
+        ]
         self._normal: list[list[tuple[np.ndarray, np.ndarray, float]]] = []
         for c in range(self.size):
             kinds = []
-            for size in self.residual_um[c]:
+            for size, correlation in zip(self.residual_um[c], correlations, strict=True):
                 covariance = size**2 * correlation + (noise_um[c] ** 2 + 1e-8) * np.eye(len(x))
                 factor = np.linalg.cholesky(covariance)
                 white = scipy.linalg.solve_triangular(factor, np.c_[design, y[:, c]], lower=True)
@@ -276,14 +285,14 @@ class Evidence:
     def _all_terms(self, displacement: int) -> tuple[list[Share], float]:
         """Return the models with all candidates but drifts, and their log evidence together.
 
-        The part of every candidate in the displacement has one prior standard deviation: this is ridge regression on all lags. Where many
+        Every candidate's part in the displacement has one prior standard deviation: this is ridge regression on all lags. Where many
         sensors warm up together, it predicts what follows better than any few of them.
         """
         every = tuple(range(self.count))
         tried = [
             (size * self.spread_um[displacement] * self._alike, kind)
             for size in DENSE_SIZES
-            for kind in range(len(RESIDUAL_SHARES))
+            for kind in range(len(self.residual_um[displacement]))
         ]
         found = np.array([self.log_evidence(every, displacement, kind, times) for times, kind in tried])
         together = float(np.logaddexp.reduce(found))
@@ -354,11 +363,11 @@ class Evidence:
     def _average(self, drawn: Sequence[tuple[tuple[int, ...], int]], displacement: int) -> Average:
         """Return the average over drawn models and those with all terms, both kinds by their evidence (equal prior probability).
 
-        Evidence is the probability that a model gave, before each reading, to that reading: A. P. Dawid, J. R. Statist. Soc. A 147 (1984)
-        278-292. That of the drawn models is the mean over the draws of their joint probability, plus the entropy of the draws.
+        Evidence is the probability that a model gave, before each reading, to that reading (A. P. Dawid, J. R. Statist. Soc. A 147
+        (1984) 278-292). That of the drawn models is the mean over the draws of their joint probability, plus the entropy of the draws.
         """
         counted = {one: times / len(drawn) for one, times in Counter(drawn).items()}
-        evidence = -float(np.log1p(np.exp(-self._cost)).sum() + np.log(len(RESIDUAL_SHARES)))
+        evidence = -float(np.log1p(np.exp(-self._cost)).sum() + np.log(len(self.residual_um[displacement])))
         for (model, kind), share in counted.items():
             joint = self._known_evidence(model, displacement, kind) - float(self._cost[list(model)].sum())
             evidence += share * (joint - np.log(share))
@@ -366,7 +375,7 @@ class Evidence:
         few = float(scipy.special.expit(evidence - other))
         size = self.count + 1
         mean, second, variance = np.zeros(size), np.zeros((size, size)), 0.0
-        parts = [(model, kind, 1.0, few * share) for (model, kind), share in counted.items()]
+        parts: list[Share] = [(model, kind, 1.0, few * share) for (model, kind), share in counted.items()]
         parts += [(model, kind, times, (1.0 - few) * share) for model, kind, times, share in every]
         least = LEAST_SHARE * max(share for *_, share in parts)
         parts = [part for part in parts if part[-1] > least]

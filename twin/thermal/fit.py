@@ -274,10 +274,10 @@ def _held_out(problem: AveragedRecord, seed: int, progress: Callable[[str, float
     found = [_errors(problem, one, left_out, between) for one, left_out in zip(fitted, folds, strict=True)]
     squares = np.array([(error**2).mean(axis=0) for error, _ in found])
     ratios = squares / np.array([variance.mean(axis=0) for _, variance in found])
-    # Later rows are predicted worse than rows between fitted ones: the larger of both ratios widens the uncertainty.
-    factor = np.sqrt(np.maximum(ratios.mean(axis=0), ratios[forward].mean(axis=0)))
+    # Errors last for hours, so that each part that follows is about one reading of their size: the largest ratio is taken.
+    factor = np.sqrt(ratios[forward].max(axis=0))
     held_out_um = np.sqrt(squares[blocks].mean(axis=0))
-    return HeldOutErrors(np.maximum(factor, 1.0), held_out_um, np.sqrt(squares[forward]), between)
+    return HeldOutErrors(factor, held_out_um, np.sqrt(squares[forward]), between)
 
 
 def _between_parts(problem: AveragedRecord, fitted: Sequence[Fitted]) -> np.ndarray:
