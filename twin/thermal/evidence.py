@@ -184,8 +184,8 @@ CONSTANT_UM: Final = 2.0
 """Prior standard deviation of the constant: displacements count from the start of the record."""
 RESIDUAL_SHARES: Final = np.geomspace(0.03, 1.5, 11)
 """Standard deviations of the residual tried, relative to the displacement's variation."""
-RESIDUAL_TIMES: Final = (1.0 / 24.0, 2.0)
-"""Correlation times of the residual tried, in durations of the record: errors that fade, or that wander as long as the terms last."""
+RESIDUAL_TIME: Final = 2.0
+"""Correlation time of the residual in durations of the record: it wanders, since what no term describes lasts as long as they do."""
 
 
 LEAST_SHARE: Final = 1e-3
@@ -246,16 +246,13 @@ class Evidence:
         self.size = y.shape[1]
         self._known: dict[tuple[tuple[int, ...], int, int], float] = {}
         design = np.c_[x, np.ones(len(x))] * self.scale
-        apart = np.abs(time_s[:, None] - time_s) / duration_s
-        correlations = [np.exp(-apart / part) for part in RESIDUAL_TIMES for _ in RESIDUAL_SHARES]
+        correlation = np.exp(-np.abs(time_s[:, None] - time_s) / (RESIDUAL_TIME * duration_s))
         self.spread_um = [max(float(y[:, c].std()), float(noise_um[c]), 1e-3) for c in range(self.size)]
-        self.residual_um = [
-            [spread * share for _ in RESIDUAL_TIMES for share in RESIDUAL_SHARES] for spread in self.spread_um
-        ]
+        self.residual_um = [[spread * share for share in RESIDUAL_SHARES] for spread in self.spread_um]
         self._normal: list[list[tuple[np.ndarray, np.ndarray, float]]] = []
         for c in range(self.size):
             kinds = []
-            for size, correlation in zip(self.residual_um[c], correlations, strict=True):
+            for size in self.residual_um[c]:
                 covariance = size**2 * correlation + (noise_um[c] ** 2 + 1e-8) * np.eye(len(x))
                 factor = np.linalg.cholesky(covariance)
                 white = scipy.linalg.solve_triangular(factor, np.c_[design, y[:, c]], lower=True)
