@@ -357,7 +357,8 @@ def test_the_uncertainty_of_a_prediction_by_hand() -> None:
     found = model.predict(rows(0.0, [23.0] * 3, [500.0] * 3))
     time = np.array([0.0, 60.0, 120.0])
     doubt = np.array([0.8, 0.05]) * np.exp(-time[:, None] / [600.0, 300.0])
-    value, u = expected(np.tile([3.0, 0.25], (3, 1)), doubt, np.full(3, 0.25))
+    started = 1.0 - np.exp(-time / 300.0)
+    value, u = expected(np.c_[np.full(3, 3.0), 0.25 * started], doubt, np.full(3, 0.25))
     assert found.displacement_um[:, 0] == pytest.approx(value)
     assert found.standard_uncertainty_um[:, 0] == pytest.approx(u)
     assert found.residual_um[:, 0] == pytest.approx(10.0 - value)
@@ -365,7 +366,7 @@ def test_the_uncertainty_of_a_prediction_by_hand() -> None:
     assert "by at most 1 K (bed)" in found.warnings[1] and len(found.warnings) == 2
     # The larger of the two distances counts: half of the highest speed beyond it.
     fast = model.predict(rows(0.0, [17.0] * 3, [1500.0] * 3))
-    _, u = expected(np.tile([-3.0, 2.25], (3, 1)), doubt, np.full(3, 0.5))
+    _, u = expected(np.c_[np.full(3, -3.0), 2.25 * started], doubt, np.full(3, 0.5))
     assert fast.standard_uncertainty_um[:, 0] == pytest.approx(u) and "speed up to 1500 rpm" in fast.warnings[2]
     # A record that begins with the fitted one has no doubt about its start.
     same = model.predict(rows(0.0, [20.0] * 3, [0.0] * 3))

@@ -23,7 +23,7 @@ TOO_FAR = 2.0
 
 
 @command(
-    "twin thermal first.csv -o thermal.yaml --html thermal.html",
+    "twin thermal warm_up.csv -o thermal.yaml --html thermal.html",
     "twin thermal first.csv -o thermal.yaml --predict second.csv --predicted predicted.csv",
     "twin thermal second.csv --model thermal.yaml --continues --predicted predicted.csv",
     "twin thermal second.csv --model thermal.yaml -c mine.yaml --along X=d1 Z=-d5 --extended warm.yaml",
@@ -82,12 +82,15 @@ def thermal(
         raise InputError("--along needs --extended", expected="--extended CALIBRATION.yaml as well")
     if html_file is not None:
         options.need_pictures("the HTML report")
-    first = ThermalRecord.load(record)
-    other = None if predict is None else ThermalRecord.load(predict)
+    first = ThermalRecord.load(options.record_path(record))
+    other = None if predict is None else ThermalRecord.load(options.record_path(predict))
     model, shown = _predictions(first, other, model_file, continues)
     new = shown[-1:] if model_file is not None or other is not None else []
+    effects = []
     if extended is not None:
-        _extended(model, shown[-1][1] if new else None, along, machine, calibration).save(extended)
+        added = _extended(model, shown[-1][1] if new else None, along, machine, calibration)
+        added.save(extended)
+        effects = ["", *added.responses]
     if output is not None:
         save_model(model, output)
     if predicted is not None:
@@ -100,7 +103,7 @@ def thermal(
     for one, prediction in new:
         lines += ["", *prediction_lines(one.path, prediction), *one.notices]
     met = not any((one.rms_um > TOO_FAR * one.expected_rms_um).any() for _, one in new)
-    return CommandResult("\n".join([*lines, ""]), lambda: _report(model, shown), met=met)
+    return CommandResult("\n".join([*lines, *effects, ""]), lambda: _report(model, shown), met=met)
 
 
 def _predictions(

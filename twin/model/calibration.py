@@ -498,6 +498,17 @@ class Calibration(DisplayedResult):
         """Effects that are valid only within their ranges."""
         return tuple(effect for effect in self.extra if isinstance(effect, Empirical | ThermalResponse))
 
+    @property
+    def responses(self) -> tuple[str, ...]:
+        """One line for each thermal response: its direction, standard uncertainty and ranges."""
+        u = dict(zip(self.covariance.names, np.sqrt(np.diag(self.covariance.matrix)).tolist(), strict=True))
+        return tuple(
+            f"{one.name}: u {u.get(one.parameters[0].name, 0.0):.2g} µm (RMS error on later data); valid for "
+            + ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in one.ranges.items())
+            for one in self.extra
+            if isinstance(one, ThermalResponse)
+        )
+
     def outside(self, positions: np.ndarray) -> np.ndarray:
         """Return (n, axes) whether positions (mm, degrees) leave a curve's domain or an empirical effect's range, beyond rounding."""
         found = self.outside_domains(positions)

@@ -158,15 +158,15 @@ def features(
 ) -> np.ndarray:
     """Return the value of every term for coefficient 1, (n, terms).
 
-    ``states``: state of every lag at the first row; steady state if None.
+    ``states``: state of every lag at the first row; if None, steady state for temperatures, and a spindle that starts there.
     """
     features = drivers(record, terms, inputs)
     for j, term in enumerate(terms):
         if term.effect == "thermal_drift":
             features[:, j] = -np.expm1(-(record.time_s - inputs.start_s) / term.time_constant_s)
         else:
-            state = None if states is None else float(states[j])
             held = term.exponent > 0.0
+            state = float(states[j]) if states is not None else 0.0 if held else None
             features[:, j] = lagged(features[:, j], record.time_s, term.time_constant_s, state, held=held)
     return features
 
