@@ -30,7 +30,7 @@ def machine() -> twin.Machine:
 
 @pytest.fixture(scope="module")
 def records(tmp_path_factory: pytest.TempPathFactory) -> tuple[ThermalRecord, ThermalRecord]:
-    """Two parts of one day in the room: fitted, and later."""
+    """Two parts of one day, fitted and later."""
     folder = tmp_path_factory.mktemp("room")
     columns = simulate(8, hours=16.0, speeds=(0, 1500, 0, 3000, 0, 2000, 0, 2500))
     columns["T_room_degC"] = np.clip(columns["T_room_degC"], *np.sort(columns["T_room_degC"][:LATER])[[5, -5]])

@@ -74,7 +74,7 @@ def thermal(
     The exit status is 3 if a predicted record has displacements and the error is more than twice the expected error.
     """
     from twin.thermal import ThermalRecord, save_model
-    from twin.thermal.page import model_lines, prediction_lines, save_prediction
+    from twin.thermal.page import model_lines, prediction_lines, response_lines, save_prediction
 
     if model_file is not None and (predict is not None or output is not None):
         raise InputError("--model excludes --predict and --output", expected="the record to predict as the argument")
@@ -90,7 +90,7 @@ def thermal(
     if extended is not None:
         added = _extended(model, shown[-1][1] if new else None, along, machine, calibration)
         added.save(extended)
-        effects = ["", *added.responses]
+        effects = ["", *response_lines(added)]
     if output is not None:
         save_model(model, output)
     if predicted is not None:

@@ -41,8 +41,8 @@ from twin.model.calibration_file import (
     UnidentifiedEntry,
     covariance_of,
     covariance_text,
+    effect_entry,
     effects_of,
-    entry_of_empirical,
     measurement_entries,
 )
 from twin.model.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
@@ -51,7 +51,7 @@ from twin.model.effects import AxisLocation, ControlCorrection, Effect, Empirica
 from twin.model.effects.base import RecordingState
 from twin.model.effects.control import kinematics_of, tables_of
 from twin.model.effects.empirical import channel_name, check_ranges
-from twin.model.effects.entries import distinguished, entry_of, payload_entries, payloads_on
+from twin.model.effects.entries import distinguished, payload_entries, payloads_on
 from twin.model.effects.gravity_compliance import AddedLoad, carrying
 from twin.model.effects.table_load import with_payloads
 from twin.model.effects.thermal_response import ThermalResponse
@@ -228,17 +228,7 @@ class Calibration(DisplayedResult):
             "location": {name: float(value) for name, value in self.location.items()},
         }
         if self.extra:
-            data["effects"] = [
-                *payload_entries(self.extra, self.machine),
-                *(
-                    entry_of_empirical(effect)
-                    if isinstance(effect, Empirical)
-                    else effect.entry
-                    if isinstance(effect, ThermalResponse)
-                    else entry_of(effect)
-                    for effect in self.extra
-                ),
-            ]
+            data["effects"] = [*payload_entries(self.extra, self.machine), *map(effect_entry, self.extra)]
         if self.control is not None:
             data["control"] = self.control.to_entry(folder)
         text = yaml_text(data)
@@ -497,17 +487,6 @@ class Calibration(DisplayedResult):
     def bounded(self) -> tuple[Empirical | ThermalResponse, ...]:
         """Effects that are valid only within their ranges."""
         return tuple(effect for effect in self.extra if isinstance(effect, Empirical | ThermalResponse))
-
-    @property
-    def responses(self) -> tuple[str, ...]:
-        """One line for each thermal response: its direction, standard uncertainty and ranges."""
-        u = dict(zip(self.covariance.names, np.sqrt(np.diag(self.covariance.matrix)).tolist(), strict=True))
-        return tuple(
-            f"{one.name}: u {u.get(one.parameters[0].name, 0.0):.2g} µm (RMS error on later data); valid for "
-            + ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in one.ranges.items())
-            for one in self.extra
-            if isinstance(one, ThermalResponse)
-        )
 
     def outside(self, positions: np.ndarray) -> np.ndarray:
         """Return (n, axes) whether positions (mm, degrees) leave a curve's domain or an empirical effect's range, beyond rounding."""

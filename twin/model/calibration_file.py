@@ -39,14 +39,14 @@ from twin.machine.machine_file import FileEntry
 from twin.model.effects import Effect, Empirical, Frame, GravityCompliance, Payload
 from twin.model.effects.base import numbered, rest_orientation
 from twin.model.effects.empirical import FrameRotation, channel_name
-from twin.model.effects.entries import effect_named, payload_named
+from twin.model.effects.entries import effect_named, entry_of, payload_named
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD
 from twin.model.effects.harmonic import Kind, Waves
 from twin.model.effects.spindle_growth import LARGEST_EXPONENT
 from twin.model.effects.table_load import TableLoad
 from twin.model.effects.thermal_drift import LARGEST_DRIFT_UM, LONGEST_S
 from twin.model.effects.thermal_response import NAME as RESPONSE
-from twin.model.effects.thermal_response import ResponseTerm, thermal_response
+from twin.model.effects.thermal_response import ResponseTerm, ThermalResponse, thermal_response
 from twin.numerics.covariance import Covariance
 
 NAME: Final = "empirical"
@@ -155,6 +155,13 @@ def entry_of_empirical(effect: Empirical) -> dict[str, Any]:
     }
 
 
+def effect_entry(effect: Effect) -> dict[str, Any]:
+    """Return the entry of any effect, as `effects_of` reads it."""
+    if isinstance(effect, Empirical):
+        return entry_of_empirical(effect)
+    return effect.entry if isinstance(effect, ThermalResponse) else entry_of(effect)
+
+
 def available_in_programs(column: str, machine: Machine) -> bool:
     """Return whether a column is available when a program is compensated: positions, directions of approach, temperatures; not time."""
     axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
@@ -240,7 +247,7 @@ class ColumnEntry(FileEntry):
     range: tuple[float, float] | None = None
 
 
-class TermEntry(FileEntry):
+class ResponseEntry(FileEntry):
     """One term of a thermal response."""
 
     columns: tuple[str, ...]
@@ -261,7 +268,7 @@ class EffectEntry(FileEntry):
     columns: tuple[ColumnEntry, ...] = ()
     ranges: dict[str, tuple[float, float]] = Field(default_factory=dict)
     reference_degC: dict[str, float] = Field(default_factory=dict)
-    terms: tuple[TermEntry, ...] = ()
+    terms: tuple[ResponseEntry, ...] = ()
 
 
 class CovarianceEntry(FileEntry):

@@ -441,7 +441,7 @@ class HistoryShift(ToolSideShift):
 
     @property
     def lags(self) -> tuple[Lag, ...]:
-        """Its lags; by default one, whose output is the derivative by the first parameter."""
+        """Return its lags; by default one, whose output is the derivative by the first parameter."""
         return (Lag(self.factor_channels[0], self.time_constant, self.starts_settled),)
 
     @abstractmethod
