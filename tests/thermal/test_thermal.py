@@ -199,7 +199,11 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     report = json.loads(Path("t.json").read_text())
     assert report["schema"] == "twin.thermal/1" and len(report["predictions"]) == 2
     one = report["displacements"][0]
-    assert one["uncertainty_factor"] >= 1.0 and 0.1 < one["held_out_rms_um"] < 5.0 and len(one["forward_rms_um"]) == 3
+    assert (
+        0.1 < one["uncertainty_factor"] < 10.0
+        and 0.1 < one["held_out_rms_um"] < 5.0
+        and len(one["forward_rms_um"]) == 3
+    )
     assert "Z by room" in Path("t.json").read_text() and "<svg" not in Path("t.html").read_text()
 
 
@@ -220,45 +224,67 @@ def after(whole: ThermalRecord, share: float) -> tuple[np.ndarray, np.ndarray]:
     return np.mean(np.abs(rest.residual_um) <= 1.96 * rest.standard_uncertainty_um, axis=0), rest.rms_um
 
 
-def ridge_on_lags(whole: ThermalRecord, part: int) -> np.ndarray:
-    """Return the RMS error of ridge regression on lags of all inputs, its penalty chosen by blocks of time, by displacement."""
-    start, speed = whole.temperature_degC - whole.temperature_degC[0], np.asarray(whole.speed_rpm)[:, None] / 1000.0
-    inputs = np.concatenate([start, speed, speed**2], axis=1)
-    columns = [inputs]
-    for tau in (600.0, 1800.0, 5400.0, 14400.0):
-        columns.append(np.stack([lagged(one, whole.time_s, tau) for one in inputs.T], axis=1))
-    x, y = np.concatenate(columns, axis=1), whole.displacement_um
-    x = (x - x[:part].mean(axis=0)) / x[:part].std(axis=0)
+LAGS_S = (
+    (600.0, 1800.0, 5400.0, 14400.0),
+    (300.0, 900.0, 2700.0, 8100.0),
+    (900.0, 3600.0),
+    (1800.0, 7200.0),
+    (3600.0,),
+    (),
+)
+"""Sets of time constants among which the peer chooses."""
 
-    def predicted(rows: np.ndarray, penalty: float) -> np.ndarray:
-        centre = y[rows].mean(axis=0)
-        normal = x[rows].T @ x[rows] + penalty * np.eye(x.shape[1])
-        return np.asarray(centre + x @ np.linalg.solve(normal, x[rows].T @ (y[rows] - centre)))
 
-    fitted = np.arange(0, part, 5)
-    found = []
-    for k in range(y.shape[1]):
-        off = {
-            penalty: sum(
-                np.sum((predicted(np.setdiff1d(fitted, block), penalty) - y)[block, k] ** 2)
-                for block in np.array_split(fitted, 5)
-            )
-            for penalty in 10.0 ** np.arange(-2.0, 4.1)
-        }
-        found.append(np.sqrt(np.mean((predicted(fitted, min(off, key=off.__getitem__)) - y)[part:, k] ** 2)))
+def follower(inputs: np.ndarray, time_s: np.ndarray, tau: float) -> np.ndarray:
+    """Return the first-order lags of inputs (n, m), each held over the interval before its row."""
+    state, found = inputs[0], [inputs[0]]
+    for row, step in zip(inputs[1:], np.diff(time_s), strict=True):
+        state = row + (state - row) * np.exp(-step / tau)
+        found.append(state)
     return np.array(found)
 
 
-@pytest.mark.slow
-def test_intervals_cover_the_rest_of_a_real_record() -> None:
-    """95 % intervals after 50, 60, 70 and 80 % of the record, for each displacement.
+def ridge_on_lags(whole: ThermalRecord, part: int) -> np.ndarray:
+    """Return the RMS error of ridge regression on lags of all inputs after a part of a record, by displacement.
 
-    Models of few terms alone covered 85 %, with errors of d1 and d2 twice as large; without the jackknife 61 to 68 % of some.
+    The peer: lags and penalty are chosen by blocks of time of the part that is fitted.
     """
+    start, speed = whole.temperature_degC - whole.temperature_degC[0], np.asarray(whole.speed_rpm)[:, None] / 1000.0
+    inputs = np.concatenate([start, speed, speed**2], axis=1)
+    y, fitted = whole.displacement_um, np.arange(0, part, 5)
+    best = np.full((2, y.shape[1]), np.inf)
+    for lags in LAGS_S:
+        x = np.concatenate([inputs, *(follower(inputs, whole.time_s, tau) for tau in lags)], axis=1)
+        x = (x - x[:part].mean(axis=0)) / x[:part].std(axis=0)
+
+        def predicted(rows: np.ndarray, penalty: float, x: np.ndarray = x) -> np.ndarray:
+            centre = y[rows].mean(axis=0)
+            normal = x[rows].T @ x[rows] + penalty * np.eye(x.shape[1])
+            return np.asarray(centre + x @ np.linalg.solve(normal, x[rows].T @ (y[rows] - centre)))
+
+        for penalty in 10.0 ** np.arange(-2.0, 4.1):
+            blocks = np.array_split(fitted, 5)
+            off = sum(np.sum((predicted(np.setdiff1d(fitted, one), penalty) - y)[one] ** 2, axis=0) for one in blocks)
+            found = np.sqrt(np.mean((predicted(fitted, penalty) - y)[part:] ** 2, axis=0))
+            best = np.where(off < best[0], np.stack([off, found]), best)
+    return best[1]
+
+
+@pytest.mark.slow
+def test_a_real_record_is_predicted_after_nine_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors and 95 % intervals after 40, 45 … 80 % of the record, for each displacement, beside ridge regression on lags.
+
+    Models of few terms alone covered 85 %, with errors of d1 and d2 twice as large; without the jackknife 61 to 68 % of some. At 50
+    to 60 % the highest speed is still to come, and ridge is better for d3 (ratios of 2.1, 1.5, 1.3): nothing before shows its effect.
+    """
+    monkeypatch.undo()
     whole = ThermalRecord.load(beside("data", "real", "spindle-thermal", "first-half.csv"))
-    inside, size_um = map(np.array, zip(*(after(whole, share) for share in (0.5, 0.6, 0.7, 0.8)), strict=True))
+    shares = np.arange(0.4, 0.81, 0.05)
+    inside, size_um = map(np.array, zip(*(after(whole, share) for share in shares), strict=True))
+    ratios = size_um / [ridge_on_lags(whole, round(share * len(whole))) for share in shares]
     assert np.all(inside.mean(axis=0) >= 0.92) and inside.min() >= 0.75, inside
-    assert np.all(size_um.mean(axis=0) <= (2.0, 2.0, 7.5, 7.5, 5.5)), size_um
+    assert np.all(np.sqrt(np.mean(size_um**2, axis=0)) <= (2.8, 2.8, 6.0, 5.6, 6.8)), size_um
+    assert np.all(np.exp(np.log(ratios).mean(axis=0)) <= (0.8, 0.8, 0.8, 0.8, 1.0)), ratios
 
 
 @pytest.mark.slow
