@@ -113,6 +113,7 @@ class ThermalPrediction(Result):
         standard_uncertainty_um: (n, displacements).
         warnings: what the uncertainty was widened for.
         residual_um: measured minus predicted (n, displacements), NaN where the record has no such displacement.
+        fitted: whether the record begins as the fitted one did: its residuals are no errors on later data.
     """
 
     displacements: tuple[str, ...]
@@ -121,6 +122,7 @@ class ThermalPrediction(Result):
     standard_uncertainty_um: np.ndarray
     warnings: tuple[str, ...]
     residual_um: np.ndarray
+    fitted: bool = False
 
     @property
     def brief(self) -> str:
@@ -224,17 +226,19 @@ class ThermalModel(Result):
             read_only(np.stack(u, axis=1)),
             tuple([*warnings, *range_warnings]),
             read_only(self._measured(record) - predicted),
+            fitted=not goes_on and not warnings,
         )
 
     def error_um(self, later: ThermalPrediction | None = None) -> dict[str, float]:
         """Return the RMS error of each displacement that was measured on later data, µm; NaN where there are none.
 
-        ``later``: prediction of a later record; where that has no displacement, the error on what followed parts of the fitted record.
+        ``later``: prediction of a later record; where that has no displacement, or is the fitted one, the error on what followed parts
+        of the fitted record.
         """
         inside = {
             one.name: float(np.sqrt(np.mean(np.square(one.forward_um or (np.nan,))))) for one in self.displacements
         }
-        if later is None:
+        if later is None or later.fitted:
             return inside
         found = zip(later.displacements, later.rms_um, strict=True)
         return {name: float(value) if np.isfinite(value) else inside[name] for name, value in found}
