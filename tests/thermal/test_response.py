@@ -196,12 +196,27 @@ def test_the_command_writes_the_calibration(
     later = records[1].path
     with pytest.raises(SystemExit) as raised:
         cli.main(
-            ["thermal", later, "--model", "m.yaml", "--extended", "warm.yaml", "--along", "X=-Z", "--json", "t.json"]
+            [
+                "thermal",
+                later,
+                "--model",
+                "m.yaml",
+                "--extended",
+                "warm.yaml",
+                "--along",
+                "X=-Z",
+                "Y=Z",
+                "--json",
+                "t.json",
+            ]
         )
     assert raised.value.code == 0
     found = twin.Calibration.load("warm.yaml", twin.Machine.load("dmu50"))
     rms = json.loads(Path("t.json").read_text())["predictions"][0]["rms_um"]["Z"]
-    assert found.covariance.matrix[-1, -1] == pytest.approx(rms**2) and found.extra[-1].name == "thermal_response:X"
+    assert found.covariance.matrix[-1, -1] == pytest.approx(rms**2) and [one.name[-1] for one in found.extra[-2:]] == [
+        "X",
+        "Y",
+    ]
     assert rms == pytest.approx(load_model("m.yaml").predict(records[1]).rms_um[0])
     for words, expected in ((["--along", "Z=Z"], "--extended"), (["--extended", "w.yaml", "--along", "Z"], "Z=d5")):
         with pytest.raises(SystemExit) as raised:

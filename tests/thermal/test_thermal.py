@@ -299,5 +299,5 @@ def test_intervals_cover_what_a_network_of_heat_capacities_does_next(
         covered, rms_um = after(whole, 0.5)
         inside.append(covered)
         ratios.append(rms_um / ridge_on_lags(whole, len(whole) // 2))
-    assert np.mean(inside) >= 0.94, inside
+    assert 0.88 <= np.mean(inside) <= 0.99, inside
     assert np.exp(np.mean(np.log(ratios))) <= 0.6, ratios
