@@ -50,6 +50,7 @@ WRITTEN: Final = {
     },
     ("info", "urdf"): BACK,
     ("diagnose", "extended"): BACK,
+    ("thermal", "extended"): BACK,
     ("plan", "program_file"): BACK,
     ("identify", "json_file"): BACK,
 }
@@ -67,7 +68,7 @@ COMMANDS: Final = {
     "info": ("info -c run.yaml -o o.yaml --datum 'end points' --urdf o.urdf", {"o.yaml", "o.urdf"}),
     "control": ("control --to siemens -o o", {"calibration.yaml"}),
     "kinematics": ("control --kinematics siemens-chain -o o --force", {"calibration.yaml"}),
-    "thermal": ("thermal record.csv -o o.yaml --predicted o.csv", {"o.yaml"}),
+    "thermal": ("thermal record.csv -o o.yaml --predicted o.csv --extended w.yaml", {"o.yaml", "w.yaml"}),
     "plan": ("plan --instrument probe -o o.csv --program o.ngc --minutes 20", {"o.csv", "o.ngc"}),
 }
 """A call of each command that writes a file for another one, and the files to be read back."""

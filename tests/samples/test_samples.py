@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from tests.samples import cone_frustum
+from tests.thermal.machine_room import warm_up
 from tests.truth.machine import run_iso
 from tests.truth.reference import sorby_forward
 from twin.identification.thesis import three_point
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import Measurements
-from twin.samples import shop_table, thesis_plan
+from twin.samples import RECORDS, shop_table, thesis_plan
 
 FOLDER = cone_frustum.FOLDER
 
@@ -24,6 +26,13 @@ def test_the_files_equal_the_output_of_the_script() -> None:
 
 def test_the_table_of_a_workshop_equals_the_output_of_its_script() -> None:
     assert (FOLDER / "shop_table.csv").read_bytes() == shop_table.content()
+
+
+def test_the_records_of_a_machine_that_warms_up_are_those_of_the_simulated_machine() -> None:
+    columns = warm_up()
+    rows = np.concatenate([np.loadtxt(path, delimiter=",", skiprows=1) for path in RECORDS])
+    assert RECORDS[0].read_text().partition("\n")[0] == ",".join(columns)
+    assert rows == pytest.approx(np.stack(list(columns.values()), axis=1), abs=1e-3)
 
 
 def test_it_is_a_cone_frustum_of_half_apex_15_inclined_10() -> None:

@@ -16,7 +16,7 @@ from twin.thermal.evidence import (
     CONSTANT_UM,
     DENSE_SIZES,
     RESIDUAL_SHARES,
-    RESIDUAL_TIMES,
+    RESIDUAL_TIME,
     Average,
     DrawnModels,
     Evidence,
@@ -65,12 +65,11 @@ def test_the_evidence_is_that_of_a_gaussian_process() -> None:
     full, prior = np.c_[x, np.ones(30)], np.array([8.0, 5.0, 15.0, 2.0])
     constant = 15.0 * np.log(2.0 * np.pi)
     for c in range(2):
-        kinds = [(part, share) for part in RESIDUAL_TIMES for share in RESIDUAL_SHARES]
-        for kind in (0, 4, len(kinds) - 1):
-            part, share = kinds[kind]
-            size = share * y[:, c].std()
+        for kind in (0, 4, len(RESIDUAL_SHARES) - 1):
+            size = RESIDUAL_SHARES[kind] * y[:, c].std()
             assert evidence.residual_um[c][kind] == pytest.approx(size)
-            own = size**2 * np.exp(-np.abs(time[:, None] - time) / (9000.0 / part)) + noise[c] ** 2 * np.eye(30)
+            apart = np.abs(time[:, None] - time)
+            own = size**2 * np.exp(-apart / (RESIDUAL_TIME * 9000.0)) + noise[c] ** 2 * np.eye(30)
             for chosen in ((), (1,), (2, 0)):
                 columns = [*chosen, 3]
                 design, variance = full[:, columns], np.diag(prior[columns] ** 2)
@@ -86,25 +85,40 @@ def test_the_evidence_is_that_of_a_gaussian_process() -> None:
     assert evidence._posterior((0, 1), (3, 5)) == pytest.approx(both - 3.0 - 6.0)
 
 
-def test_an_average_over_models_has_their_mean_and_spread() -> None:
-    """The mixture of normal distributions, drawn."""
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_an_average_over_models_has_their_mean_and_spread(size: float) -> None:
+    """A mixture of normal distributions, drawn: models of few terms by their draws, those of all terms by sizes, both by evidence.
+
+    The evidence of the drawn models is computed from the density of the readings; with one model it is that of the model alone.
+    """
     rng = np.random.default_rng(2)
     x, time = rng.normal(size=(40, 2)), 60.0 * np.arange(40)
-    evidence = Evidence(x, x @ [[3.0], [-2.0]], time, (LAG, SQUARE), np.array([0.5]), 2400.0)
-    drawn = [((0,), 2), ((0, 1), 7), ((0, 1), 7), ((), 30)]
+    y = x @ [[3.0], [-2.0]] + size * rng.normal(size=(40, 1))
+    evidence = Evidence(x, y, time, (LAG, SQUARE), np.array([0.5 + size]), 2400.0)
+    drawn = [((0,), 2), ((0, 1), 7), ((0, 1), 7), ((), 10)]
     found = evidence._average(drawn, 0)
+    alike = y[:, 0].std() / x.std(axis=0) / [8.0, 15.0]
+    every = [((0, 1), kind, one * alike) for one in DENSE_SIZES for kind in range(len(RESIDUAL_SHARES))]
+    odds = np.array([evidence.log_evidence(model, 0, kind, times) for model, kind, times in every])
+    joint = [evidence.log_evidence(model, 0, kind) - 3.0 * len(model) for model, kind in drawn]
+    entropy = np.log(4.0) - 0.5 * np.log(2.0)
+    few = np.mean(joint) + entropy - np.log(len(RESIDUAL_SHARES)) - 2.0 * np.log(1.0 + np.exp(-3.0))
+    share = 1.0 / (1.0 + np.exp(np.log(np.mean(np.exp(odds - odds.max()))) + odds.max() - few))
+    models = [(model, kind, 1.0, share / 4.0) for model, kind in drawn]
+    weights = np.exp(odds - odds.max())
+    models += [(*one, (1.0 - share) * w) for one, w in zip(every, weights / weights.sum(), strict=True)]
     draws = []
-    for model, kind in drawn:
-        mean, covariance = evidence.coefficients(model, 0, kind)
-        some = np.zeros((50_000, 3))
-        some[:, [*model, 2]] = rng.multivariate_normal(mean, covariance, 50_000)
+    for model, kind, times, weight in models:
+        mean, covariance = evidence.coefficients(model, 0, kind, times)
+        some = np.zeros((round(200_000 * weight), 3))
+        some[:, [*model, 2]] = rng.multivariate_normal(mean, covariance, len(some))
         draws.append(some)
     mixture = np.concatenate(draws)
     spread = mixture.std(axis=0)
     assert np.abs(found.mean - mixture.mean(axis=0)).max() < 0.02 * spread.max()
-    assert np.abs((found.covariance - np.cov(mixture.T)) / np.outer(spread, spread)).max() < 0.02
-    sizes = [evidence.residual_um[0][kind] for _, kind in drawn]
-    assert found.residual_um == pytest.approx(np.sqrt(np.mean(np.square(sizes))))
+    assert np.abs((found.covariance - np.cov(mixture.T)) / np.outer(spread, spread)).max() < 0.03
+    expected = np.sqrt(sum(weight * evidence.residual_um[0][kind] ** 2 for _, kind, _, weight in models))
+    assert found.residual_um == pytest.approx(expected, rel=1e-2)
 
 
 # ---- preparation of a record
@@ -172,28 +186,24 @@ def test_held_out_parts_and_their_errors(monkeypatch: pytest.MonkeyPatch) -> Non
         fitted.append(rows.tolist())
         return []
 
-    def errors(
-        problem: Any, models: Any, weight: np.ndarray, rows: np.ndarray, between: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        # A part that follows is predicted with the weight that the other two choose.
-        assert weight == (0.2 if len(left_out) < 3 else 0.3) and between.shape == (1, 1, 1)
+    def errors(problem: Any, models: Any, rows: np.ndarray, between: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        assert between.shape == (1, 1, 1)
         left_out.append(np.flatnonzero(rows).tolist())
         ones = np.ones((int(rows.sum()), 1))
         return 2.0 * len(left_out) * ones * (-1.0) ** np.arange(len(ones))[:, None], 4.0 * ones
 
     monkeypatch.setattr(fit, "_fit", remember)
     monkeypatch.setattr(fit, "_errors", errors)
-    monkeypatch.setattr(fit, "_weight", lambda problem, fitted, folds: np.full(1, len(folds) / 10.0))
-    monkeypatch.setattr(fit, "_between_parts", lambda problem, fitted, weight: np.full((1, 1, 1), len(fitted)))
+    monkeypatch.setattr(fit, "_between_parts", lambda problem, fitted: np.full((1, 1, 1), len(fitted)))
     found = fit._held_out(problem, 0, lambda *_: None)
     expected = [list(range(first, 120)) for first in (48, 66, 84)]
     expected += [list(range(first, first + 20)) for first in range(20, 120, 20)]
     expected.append(list(range(60, 100)))  # the highest speed and the cooling behind it
     assert left_out == expected
     assert fitted == [[i for i in range(120) if i not in rows] for rows in expected]
-    assert found.factor == pytest.approx([np.sqrt(np.mean(np.arange(1, 10) ** 2))])
+    assert found.factor == pytest.approx([3.0])  # the largest of those that follow
     assert found.forward_um[:, 0] == pytest.approx([2.0, 4.0, 6.0])
-    assert found.weight == [0.3] and found.between == [[[5.0]]]
+    assert found.between == [[[5.0]]]
     assert found.blocks_um == pytest.approx([2.0 * np.sqrt(np.mean(np.arange(4, 9) ** 2))])
     assert fit._highest_speed_left_out(replace(problem, record=record(120))) is None
     mostly = np.r_[np.repeat([0.0, 500.0], 25), np.repeat(900.0, 70)]
@@ -206,39 +216,13 @@ def test_errors_on_averaged_rows_by_hand() -> None:
     covariance[0, -1] = covariance[-1, 0] = 0.4
     average = Average(np.linspace(-1.0, 2.0, len(problem.terms) + 1), covariance, 0.7)
     rows = np.arange(150) % 3 == 1
-    other = Average(average.mean[::-1], 2.0 * covariance, 0.3)
-    fitted = [fit.Fitted((0,), DrawnModels((), (average,)), (other,))]
     full = np.c_[problem.x, np.ones(150)][rows]
-    for weight in (1.0, 0.0, 0.3):
-        error, variance = fit._errors(problem, fitted, np.full(1, weight), rows)
-        both = [full @ one.mean for one in (average, other)]
-        assert error[:, 0] == pytest.approx(problem.y[rows, 0] - weight * both[0] - (1.0 - weight) * both[1])
-        # Variance of a mixture: that within, and that between.
-        within = weight * (np.array([row @ covariance @ row for row in full]) + 0.49)
-        within += (1.0 - weight) * (np.array([2.0 * row @ covariance @ row for row in full]) + 0.09)
-        assert variance[:, 0] == pytest.approx(within + weight * (1.0 - weight) * (both[0] - both[1]) ** 2)
-
-
-def test_the_weight_of_few_terms_is_that_of_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Errors of the two models mixed by hand, on three folds; the best weight by search, and its limits."""
-    rng = np.random.default_rng(4)
-    problem = fit._problem(record(150))
-    few, every = rng.normal(size=(2, 3, 40))
-    every += 0.4 * few
-
-    def errors(problem: Any, models: int, weight: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        mixed = weight * few[models] + (1.0 - weight) * every[models]
-        return mixed[:, None], np.ones((40, 1))
-
-    monkeypatch.setattr(fit, "_errors", errors)
-    folds = [np.ones(150, dtype=bool)] * 3
-    tried = np.linspace(0.0, 1.0, 1001)
-    expected = tried[np.argmin([np.sum((w * few + (1.0 - w) * every) ** 2) for w in tried])]
-    assert fit._weight(problem, [0, 1, 2], folds) == pytest.approx([expected], abs=1e-3)
-    every[:] = 3.0 * few
-    assert fit._weight(problem, [0, 1, 2], folds) == [1.0]
-    every[:] = 0.3 * few
-    assert fit._weight(problem, [0, 1, 2], folds) == [0.0]
+    for between in (0.0, 2.0):
+        more = None if between == 0.0 else between * covariance[None]
+        error, variance = fit._errors(problem, [((0,), DrawnModels((), (average,)))], rows, more)
+        assert error[:, 0] == pytest.approx(problem.y[rows, 0] - full @ average.mean)
+        own = np.array([row @ covariance @ row for row in full])
+        assert variance[:, 0] == pytest.approx((1.0 + between) * own + 0.49)
 
 
 def test_the_coefficients_vary_from_block_to_block_as_the_jackknife_says() -> None:
@@ -250,32 +234,30 @@ def test_the_coefficients_vary_from_block_to_block_as_the_jackknife_says() -> No
     fitted = []
     for left_out in range(5):
         mean = np.delete(blocks, left_out, axis=0).mean(axis=0)
-        # The average of both kinds of models counts, each with its weight.
-        few, every = (Average(mean + sign * blocks[0], none, 1.0) for sign in (3.0, -1.0))
-        fitted.append([fit.Fitted((0,), DrawnModels((), (few,)), (every,))])
-    found = fit._between_parts(problem, fitted, np.full(1, 0.25))
+        fitted.append([((0,), DrawnModels((), (Average(mean, none, 1.0),)))])
+    found = fit._between_parts(problem, fitted)
     assert found[0] == pytest.approx(np.cov(blocks.T) / 5.0)
 
 
 def test_all_terms_together_are_ridge_regression() -> None:
-    """With the chosen size and residual, the coefficients are those of generalised ridge regression, written out."""
-    rng = np.random.default_rng(3)
+    """With a size and a residual, the coefficients are those of generalised ridge regression, written out; a drift is none of them."""
     problem = fit._problem(record(150))
     evidence = Evidence(problem.x, problem.y, problem.time_s, problem.terms, problem.noise_um, problem.duration_s)
-    sizes = rng.uniform(0.5, 2.0, len(problem.terms))
-    found = evidence.dense(0, sizes)
-    apart = np.abs(problem.time_s[:, None] - problem.time_s)
+    apart = np.abs(problem.time_s[:, None] - problem.time_s) / (RESIDUAL_TIME * problem.duration_s)
     design = np.c_[problem.x, np.ones(len(problem.x))]
-    closest = np.inf
-    for part in RESIDUAL_TIMES:
-        noise = found.residual_um**2 * np.exp(-apart * part / problem.duration_s)
+    drift = np.array([term.effect == "thermal_drift" for term in problem.terms])
+    models, _ = evidence._all_terms(0)
+    assert sum(share for *_, share in models) == pytest.approx(1.0)
+    for order, (model, kind, times, _) in list(enumerate(models))[::7]:
+        size = DENSE_SIZES[order // len(RESIDUAL_SHARES)]
+        noise = evidence.residual_um[0][kind] ** 2 * np.exp(-apart)
         noise += (problem.noise_um[0] ** 2 + 1e-8) * np.eye(len(apart))
-        for size in DENSE_SIZES:
-            prior = np.append((size * sizes) ** 2, CONSTANT_UM**2)
-            gram = design.T @ np.linalg.solve(noise, design) + np.diag(1.0 / prior)
-            expected = np.linalg.solve(gram, design.T @ np.linalg.solve(noise, problem.y[:, 0]))
-            closest = min(closest, float(np.abs(expected / found.mean - 1.0).max()))
-    assert closest < 1e-4
+        alike = np.where(drift, 1e-9, size * problem.y[:, 0].std() / problem.x.std(axis=0))
+        gram = design.T @ np.linalg.solve(noise, design) + np.diag(1.0 / np.append(alike, CONSTANT_UM) ** 2)
+        expected = np.linalg.solve(gram, design.T @ np.linalg.solve(noise, problem.y[:, 0]))
+        found, _ = evidence.coefficients(model, 0, kind, times)
+        assert np.all(found[:-1][drift] == 0.0)
+        assert design @ found == pytest.approx(design @ expected, abs=1e-3)
 
 
 def test_few_directions_keep_the_variance() -> None:
@@ -375,7 +357,8 @@ def test_the_uncertainty_of_a_prediction_by_hand() -> None:
     found = model.predict(rows(0.0, [23.0] * 3, [500.0] * 3))
     time = np.array([0.0, 60.0, 120.0])
     doubt = np.array([0.8, 0.05]) * np.exp(-time[:, None] / [600.0, 300.0])
-    value, u = expected(np.tile([3.0, 0.25], (3, 1)), doubt, np.full(3, 0.25))
+    started = 1.0 - np.exp(-time / 300.0)
+    value, u = expected(np.c_[np.full(3, 3.0), 0.25 * started], doubt, np.full(3, 0.25))
     assert found.displacement_um[:, 0] == pytest.approx(value)
     assert found.standard_uncertainty_um[:, 0] == pytest.approx(u)
     assert found.residual_um[:, 0] == pytest.approx(10.0 - value)
@@ -383,7 +366,7 @@ def test_the_uncertainty_of_a_prediction_by_hand() -> None:
     assert "by at most 1 K (bed)" in found.warnings[1] and len(found.warnings) == 2
     # The larger of the two distances counts: half of the highest speed beyond it.
     fast = model.predict(rows(0.0, [17.0] * 3, [1500.0] * 3))
-    _, u = expected(np.tile([-3.0, 2.25], (3, 1)), doubt, np.full(3, 0.5))
+    _, u = expected(np.c_[np.full(3, -3.0), 2.25 * started], doubt, np.full(3, 0.5))
     assert fast.standard_uncertainty_um[:, 0] == pytest.approx(u) and "speed up to 1500 rpm" in fast.warnings[2]
     # A record that begins with the fitted one has no doubt about its start.
     same = model.predict(rows(0.0, [20.0] * 3, [0.0] * 3))
@@ -393,7 +376,7 @@ def test_the_uncertainty_of_a_prediction_by_hand() -> None:
 
 @pytest.mark.parametrize(("gap", "follows"), [(60.0, True), (300.0, True), (301.0, False), (0.0, False)])
 def test_a_record_that_follows_goes_on_from_the_last_state(gap: float, follows: bool) -> None:
-    """Up to five intervals behind the last row; its state decays towards inputs that are linear in time."""
+    """Up to five intervals behind the last row; the state decays towards a temperature, linear in time, and a speed that is held."""
     found = by_hand().predict(rows(6000.0 + gap, [20.0] * 2, [0.0] * 2))
     assert bool(found.warnings) != follows
     if follows:
@@ -402,7 +385,8 @@ def test_a_record_that_follows_goes_on_from_the_last_state(gap: float, follows: 
             steps = np.linspace(0.0, gap, 20_001)
             middle = (steps[1:] + steps[:-1]) / 2.0
             step = np.diff(steps)[0]
-            driven = np.sum(np.exp(-(gap - middle) / tau) * last * (1.0 - middle / gap)) * step / tau
+            # A speed is that of the time up to its row: zero from the last fitted row on.
+            driven = (tau == 600.0) * np.sum(np.exp(-(gap - middle) / tau) * last * (1.0 - middle / gap)) * step / tau
             state.append(first * np.exp(-gap / tau) + driven)
         values = np.array([state, np.array(state) * np.exp(-60.0 / np.array([600.0, 300.0]))])
         value, u = expected(values, np.zeros((2, 2)), np.zeros(2))

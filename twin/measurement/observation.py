@@ -162,7 +162,7 @@ class Observation:
         """
         state = machine_state(data, self.machine)
         if check:
-            check_ranges(calibration.empirical, state, data.lines, data.source)
+            check_ranges(calibration.bounded, state, data.lines, data.source)
             calibration.check(data.positions)
         rows = assemble(calibration.effects, self.machine.frames, state)
         errors = [np.broadcast_to(np.asarray(v, dtype=float), len(data)) for row in rows for v in row]

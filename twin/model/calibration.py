@@ -41,8 +41,8 @@ from twin.model.calibration_file import (
     UnidentifiedEntry,
     covariance_of,
     covariance_text,
+    effect_entry,
     effects_of,
-    entry_of_empirical,
     measurement_entries,
 )
 from twin.model.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
@@ -51,9 +51,10 @@ from twin.model.effects import AxisLocation, ControlCorrection, Effect, Empirica
 from twin.model.effects.base import RecordingState
 from twin.model.effects.control import kinematics_of, tables_of
 from twin.model.effects.empirical import channel_name, check_ranges
-from twin.model.effects.entries import distinguished, entry_of, payload_entries, payloads_on
+from twin.model.effects.entries import distinguished, payload_entries, payloads_on
 from twin.model.effects.gravity_compliance import AddedLoad, carrying
 from twin.model.effects.table_load import with_payloads
+from twin.model.effects.thermal_response import ThermalResponse
 from twin.model.motion_curve import Curve, conversion_of, sum_of_curves
 from twin.numerics.covariance import Covariance, not_a_covariance
 from twin.numerics.curves import Basis, basis_named
@@ -236,13 +237,7 @@ class Calibration(DisplayedResult):
             "location": {name: float(value) for name, value in self.location.items()},
         }
         if self.extra:
-            data["effects"] = [
-                *payload_entries(self.extra, self.machine),
-                *(
-                    entry_of_empirical(effect) if isinstance(effect, Empirical) else entry_of(effect)
-                    for effect in self.extra
-                ),
-            ]
+            data["effects"] = [*payload_entries(self.extra, self.machine), *map(effect_entry, self.extra)]
         if self.control is not None:
             data["control"] = self.control.to_entry(folder)
         text = yaml_text(data)
@@ -496,6 +491,11 @@ class Calibration(DisplayedResult):
     def empirical(self) -> tuple[Empirical, ...]:
         """Effects of unknown cause, each valid only within its ranges."""
         return tuple(effect for effect in self.extra if isinstance(effect, Empirical))
+
+    @cached_property
+    def bounded(self) -> tuple[Empirical | ThermalResponse, ...]:
+        """Effects that are valid only within their ranges."""
+        return tuple(effect for effect in self.extra if isinstance(effect, Empirical | ThermalResponse))
 
     def outside(self, positions: np.ndarray) -> np.ndarray:
         """Return (n, axes) whether positions (mm, degrees) leave a curve's domain or an empirical effect's range, beyond rounding."""

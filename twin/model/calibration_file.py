@@ -39,10 +39,14 @@ from twin.machine.machine_file import FileEntry
 from twin.model.effects import Effect, Empirical, Frame, GravityCompliance, Payload
 from twin.model.effects.base import numbered, rest_orientation
 from twin.model.effects.empirical import FrameRotation, channel_name
-from twin.model.effects.entries import effect_named, payload_named
+from twin.model.effects.entries import effect_named, entry_of, payload_named
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD
 from twin.model.effects.harmonic import Kind, Waves
+from twin.model.effects.spindle_growth import LARGEST_EXPONENT
 from twin.model.effects.table_load import TableLoad
+from twin.model.effects.thermal_drift import LARGEST_DRIFT_UM, LONGEST_S
+from twin.model.effects.thermal_response import NAME as RESPONSE
+from twin.model.effects.thermal_response import ResponseTerm, ThermalResponse, thermal_response
 from twin.numerics.covariance import Covariance
 
 NAME: Final = "empirical"
@@ -151,6 +155,13 @@ def entry_of_empirical(effect: Empirical) -> dict[str, Any]:
     }
 
 
+def effect_entry(effect: Effect) -> dict[str, Any]:
+    """Return the entry of any effect, as `effects_of` reads it."""
+    if isinstance(effect, Empirical):
+        return entry_of_empirical(effect)
+    return effect.entry if isinstance(effect, ThermalResponse) else entry_of(effect)
+
+
 def available_in_programs(column: str, machine: Machine) -> bool:
     """Return whether a column is available when a program is compensated: positions, directions of approach, temperatures; not time."""
     axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
@@ -236,8 +247,17 @@ class ColumnEntry(FileEntry):
     range: tuple[float, float] | None = None
 
 
+class ResponseEntry(FileEntry):
+    """One term of a thermal response."""
+
+    columns: tuple[str, ...]
+    time_constant: Annotated[float, Field(ge=0.0, le=LONGEST_S)]
+    exponent: Annotated[float, Field(ge=0.0, le=LARGEST_EXPONENT)]
+    coefficient: Annotated[float, Field(ge=-LARGEST_DRIFT_UM, le=LARGEST_DRIFT_UM)]
+
+
 class EffectEntry(FileEntry):
-    """One effect; the last four fields apply only to an empirical effect."""
+    """One effect; four fields apply only to an empirical effect, the last three only to a thermal response."""
 
     effect: str
     where: str
@@ -246,6 +266,9 @@ class EffectEntry(FileEntry):
     note: str = ""
     along: Along | None = None
     columns: tuple[ColumnEntry, ...] = ()
+    ranges: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    reference_degC: dict[str, float] = Field(default_factory=dict)
+    terms: tuple[ResponseEntry, ...] = ()
 
 
 class CovarianceEntry(FileEntry):
@@ -402,10 +425,24 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
 
 
 def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -> Effect:
+    if entry.effect != NAME and (entry.cause is not None or entry.along is not None or entry.columns):
+        what = f"{entry.effect} has a known cause and form"
+        raise InputError(what, expected=f"cause, along and columns only with {NAME}")
+    if entry.effect == RESPONSE:
+        terms = [ResponseTerm(**dict(term)) for term in entry.terms]
+        if tuple(entry.parameters) != ("offset",):
+            raise InputError(
+                f"parameters of {RESPONSE} {entry.where}",
+                expected="offset",
+                value=", ".join(entry.parameters) or "none",
+            )
+        offset = entry.parameters["offset"]
+        return thermal_response(machine, entry.where, offset, terms, entry.reference_degC, entry.ranges)
+    if entry.ranges or entry.reference_degC or entry.terms:
+        raise InputError(
+            f"{entry.effect} has no terms", expected=f"ranges, reference_degC and terms only with {RESPONSE}"
+        )
     if entry.effect != NAME:
-        if entry.cause is not None or entry.along is not None or entry.columns:
-            what = f"{entry.effect} has a known cause and form"
-            raise InputError(what, expected=f"cause, along and columns only with {NAME}")
         return effect_named(entry.effect, entry.where, entry.parameters, machine, payloads)
     if entry.cause is None or entry.along is None:
         raise InputError(

@@ -5,5 +5,7 @@ from typing import Final
 
 PLANS: Final = (Path(__file__).parent / "thesis_plan.csv",)
 """Measurement plans that are found by their bare name."""
+RECORDS: Final = tuple(Path(__file__).parent / name for name in ("warm_up.csv", "warm_up_later.csv"))
+"""Records of a machine that warms up (simulated), fitted and later, that are found by their bare name."""
 TABLES: Final = (Path(__file__).parent / "shop_table.csv",)
 """Tables of other programs that are found by their bare name."""

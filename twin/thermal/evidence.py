@@ -9,6 +9,7 @@ Science 14, 1999).
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
@@ -122,8 +123,10 @@ def candidates(groups: Sequence[tuple[str, ...]], speeds: bool, duration_s: floa
     return candidates
 
 
-def lagged(values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state: float | None = None) -> np.ndarray:
-    """Return the first-order lag of an input that is linear between rows; (n,).
+def lagged(
+    values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state: float | None = None, *, held: bool = False
+) -> np.ndarray:
+    """Return the first-order lag of an input that is linear between rows, or has each row's value since the row before; (n,).
 
     ``values``: the input (n,); ``time_s``: times (n,); ``time_constant_s``: 0 returns the input; ``state``: state at the first row; the
     first value (steady state) if None.
@@ -131,7 +134,10 @@ def lagged(values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state
     if time_constant_s == 0.0:
         return np.array(values, dtype=float)
     first = float(values[0]) if state is None else state
-    return np.r_[first, follow(np.diff(time_s), values[:-1], values[1:], time_constant_s, first)]
+    return np.r_[
+        first,
+        follow(np.diff(time_s), values[1 if held else 0 :][: len(values) - 1], values[1:], time_constant_s, first),
+    ]
 
 
 def drivers(record: ThermalRecord, terms: Sequence[TermCandidate], inputs: Inputs) -> np.ndarray:
@@ -152,15 +158,16 @@ def features(
 ) -> np.ndarray:
     """Return the value of every term for coefficient 1, (n, terms).
 
-    ``states``: state of every lag at the first row; steady state if None.
+    ``states``: state of every lag at the first row; if None, steady state for temperatures, and a spindle that starts there.
     """
     features = drivers(record, terms, inputs)
     for j, term in enumerate(terms):
         if term.effect == "thermal_drift":
             features[:, j] = -np.expm1(-(record.time_s - inputs.start_s) / term.time_constant_s)
         else:
-            state = None if states is None else float(states[j])
-            features[:, j] = lagged(features[:, j], record.time_s, term.time_constant_s, state)
+            held = term.exponent > 0.0
+            state = float(states[j]) if states is not None else 0.0 if held else None
+            features[:, j] = lagged(features[:, j], record.time_s, term.time_constant_s, state, held=held)
     return features
 
 
@@ -175,11 +182,14 @@ BURN_IN: Final = 0.25
 THINNING: Final = 20
 CONSTANT_UM: Final = 2.0
 """Prior standard deviation of the constant: displacements count from the start of the record."""
-RESIDUAL_SHARES: Final = np.geomspace(0.03, 0.7, 9)
-RESIDUAL_TIMES: Final = (48.0, 24.0, 12.0, 6.0)
-"""Correlation times of the residual tried: the record's duration divided by these."""
+RESIDUAL_SHARES: Final = np.geomspace(0.03, 1.5, 11)
+"""Standard deviations of the residual tried, relative to the displacement's variation."""
+RESIDUAL_TIME: Final = 2.0
+"""Correlation time of the residual in durations of the record: it wanders, since what no term describes lasts as long as they do."""
 
 
+LEAST_SHARE: Final = 1e-3
+"""Least share of a model in an average, relative to the largest."""
 DENSE_SIZES: Final = (0.01, 0.03, 0.1, 0.3)
 """Sizes tried of a candidate's part in a displacement, in the model with all of them, relative to the displacement's variation."""
 
@@ -196,25 +206,18 @@ class Average:
     covariance: np.ndarray
     residual_um: float
 
-    def with_other(self, other: Average, weight: float) -> Average:
-        """Return the average of this, with a weight of 0 to 1, and another; their disagreement counts as uncertainty."""
-        apart = self.mean - other.mean
-        return Average(
-            weight * self.mean + (1.0 - weight) * other.mean,
-            weight * self.covariance
-            + (1.0 - weight) * other.covariance
-            + weight * (1.0 - weight) * np.outer(apart, apart),
-            float(np.sqrt(weight * self.residual_um**2 + (1.0 - weight) * other.residual_um**2)),
-        )
-
 
 @final
 @dataclass(frozen=True)
 class DrawnModels:
-    """Drawn models of a group of displacements. ``models``: indices of the candidates of every drawn model."""
+    """Drawn models of a group of displacements. ``models``: indices of the candidates of every drawn model of few terms."""
 
     models: tuple[tuple[int, ...], ...]
     averages: tuple[Average, ...]
+
+
+Share = tuple[tuple[int, ...], int, float | np.ndarray, float]
+"""Indices of the candidates of a model, kind of its residual, factor on its priors, and its share of an average."""
 
 
 class Evidence:
@@ -236,26 +239,26 @@ class Evidence:
         """
         self.scale = np.r_[[term.prior for term in terms], CONSTANT_UM]
         self.count = x.shape[1]
+        self._alike = 1.0 / (np.maximum(x.std(axis=0), 1e-9) * self.scale[:-1])
         drift = np.array([term.effect == "thermal_drift" for term in terms])
         self._cost = np.where(drift, DRIFT_COST, TERM_COST)
+        self._alike[drift] = 0.0
         self.size = y.shape[1]
+        self._known: dict[tuple[tuple[int, ...], int, int], float] = {}
         design = np.c_[x, np.ones(len(x))] * self.scale
-        distance = np.abs(time_s[:, None] - time_s[None, :])
-        self.residual_um: list[list[float]] = []
+        correlation = np.exp(-np.abs(time_s[:, None] - time_s) / (RESIDUAL_TIME * duration_s))
+        self.spread_um = [max(float(y[:, c].std()), float(noise_um[c]), 1e-3) for c in range(self.size)]
+        self.residual_um = [[spread * share for share in RESIDUAL_SHARES] for spread in self.spread_um]
         self._normal: list[list[tuple[np.ndarray, np.ndarray, float]]] = []
         for c in range(self.size):
-            spread = max(float(y[:, c].std()), float(noise_um[c]), 1e-3)
-            self.residual_um.append([spread * share for _ in RESIDUAL_TIMES for share in RESIDUAL_SHARES])
             kinds = []
-            for part in RESIDUAL_TIMES:
-                correlation = np.exp(-distance * part / duration_s)
-                for share in RESIDUAL_SHARES:
-                    covariance = (spread * share) ** 2 * correlation + (noise_um[c] ** 2 + 1e-8) * np.eye(len(x))
-                    factor = np.linalg.cholesky(covariance)
-                    white = np.linalg.solve(factor, np.c_[design, y[:, c]])
-                    product = white.T @ white
-                    rest = 0.5 * product[-1, -1] + float(np.log(np.diag(factor)).sum())
-                    kinds.append((product[:-1, :-1], product[:-1, -1], rest))
+            for size in self.residual_um[c]:
+                covariance = size**2 * correlation + (noise_um[c] ** 2 + 1e-8) * np.eye(len(x))
+                factor = np.linalg.cholesky(covariance)
+                white = scipy.linalg.solve_triangular(factor, np.c_[design, y[:, c]], lower=True)
+                product = white.T @ white
+                rest = 0.5 * product[-1, -1] + float(np.log(np.diag(factor)).sum())
+                kinds.append((product[:-1, :-1], product[:-1, -1], rest))
             self._normal.append(kinds)
 
     def log_evidence(
@@ -276,19 +279,24 @@ class Evidence:
         scale = self.scale[index] * _with_constant(times, len(index))
         return covariance @ right * scale, covariance * np.outer(scale, scale)
 
-    def dense(self, displacement: int, sizes: np.ndarray) -> Average:
-        """Return the estimate with all candidates, whose small coefficients have one size: ridge regression on all lags.
+    def _all_terms(self, displacement: int) -> tuple[list[Share], float]:
+        """Return the models with all candidates but drifts, and their log evidence together.
 
-        The common size and the kind of residual are those of the largest evidence. Where many sensors warm up together, it predicts
-        what follows better than any few of them.
-
-        ``sizes``: (terms,) coefficients that are alike, µm/K or µm.
+        Every candidate's part in the displacement has one prior standard deviation: this is ridge regression on all lags. Where many
+        sensors warm up together, it predicts what follows better than any few of them.
         """
-        every, factor = range(self.count), sizes / self.scale[:-1]
-        tried = [(times * factor, kind) for times in DENSE_SIZES for kind in range(len(self.residual_um[displacement]))]
-        times, kind = max(tried, key=lambda one: self.log_evidence(every, displacement, one[1], one[0]))
-        mean, covariance = self.coefficients(every, displacement, kind, times)
-        return Average(mean, covariance, self.residual_um[displacement][kind])
+        every = tuple(range(self.count))
+        tried = [
+            (size * self.spread_um[displacement] * self._alike, kind)
+            for size in DENSE_SIZES
+            for kind in range(len(self.residual_um[displacement]))
+        ]
+        found = np.array([self.log_evidence(every, displacement, kind, times) for times, kind in tried])
+        together = float(np.logaddexp.reduce(found))
+        shares = np.exp(found - together)
+        return [
+            (every, kind, times, float(share)) for (times, kind), share in zip(tried, shares, strict=True)
+        ], together - float(np.log(len(tried)))
 
     def _scaled(
         self, chosen: Sequence[int], displacement: int, kind: int, times: float | np.ndarray
@@ -321,8 +329,16 @@ class Evidence:
         return DrawnModels(tuple(model for model, _ in drawn), averages)
 
     def _posterior(self, chosen: Sequence[int], kind: Sequence[int]) -> float:
-        evidence = sum(self.log_evidence(chosen, c, kind[c]) for c in range(self.size)) / self.size
+        model = tuple(sorted(chosen))
+        evidence = sum(self._known_evidence(model, c, kind[c]) for c in range(self.size)) / self.size
         return evidence - float(self._cost[list(chosen)].sum())
+
+    def _known_evidence(self, model: tuple[int, ...], displacement: int, kind: int) -> float:
+        """Return `log_evidence`; most models are proposed again and again."""
+        key = (model, displacement, kind)
+        if key not in self._known:
+            self._known[key] = self.log_evidence(model, displacement, kind)
+        return self._known[key]
 
     def _proposal(
         self, chosen: list[int], kind: list[int], generator: np.random.Generator
@@ -342,25 +358,34 @@ class Evidence:
         return ([j for j in chosen if j != one] if one in chosen else [*chosen, one]), kind
 
     def _average(self, drawn: Sequence[tuple[tuple[int, ...], int]], displacement: int) -> Average:
+        """Return the average over drawn models and those with all terms, both kinds by their evidence (equal prior probability).
+
+        Evidence is the probability that a model gave, before each reading, to that reading (A. P. Dawid, J. R. Statist. Soc. A 147
+        (1984) 278-292). That of the drawn models is the mean over the draws of their joint probability, plus the entropy of the draws.
+        """
+        counted = {one: times / len(drawn) for one, times in Counter(drawn).items()}
+        evidence = -float(np.log1p(np.exp(-self._cost)).sum() + np.log(len(self.residual_um[displacement])))
+        for (model, kind), share in counted.items():
+            joint = self._known_evidence(model, displacement, kind) - float(self._cost[list(model)].sum())
+            evidence += share * (joint - np.log(share))
+        every, other = self._all_terms(displacement)
+        few = float(scipy.special.expit(evidence - other))
         size = self.count + 1
         mean, second, variance = np.zeros(size), np.zeros((size, size)), 0.0
-        for (model, kind), times in _counted(drawn):
-            value, covariance = self.coefficients(model, displacement, kind)
+        parts: list[Share] = [(model, kind, 1.0, few * share) for (model, kind), share in counted.items()]
+        parts += [(model, kind, times, (1.0 - few) * share) for model, kind, times, share in every]
+        least = LEAST_SHARE * max(share for *_, share in parts)
+        parts = [part for part in parts if part[-1] > least]
+        total = sum(share for *_, share in parts)
+        for model, kind, times, share in parts:
+            value, covariance = self.coefficients(model, displacement, kind, times)
             index = np.array([*model, self.count])
-            mean[index] += times * value
-            second[index[:, None], index] += times * (covariance + np.outer(value, value))
-            variance += times * self.residual_um[displacement][kind] ** 2
-        mean, second = mean / len(drawn), second / len(drawn)
-        return Average(mean, second - np.outer(mean, mean), float(np.sqrt(variance / len(drawn))))
+            mean[index] += share / total * value
+            second[index[:, None], index] += share / total * (covariance + np.outer(value, value))
+            variance += share / total * self.residual_um[displacement][kind] ** 2
+        return Average(mean, second - np.outer(mean, mean), float(np.sqrt(variance)))
 
 
 def _with_constant(times: float | np.ndarray, count: int) -> np.ndarray:
     """Return a factor for each coefficient, one for the constant, which is the last."""
     return np.append(np.broadcast_to(times, count - 1), 1.0)
-
-
-def _counted(drawn: Sequence[tuple[tuple[int, ...], int]]) -> list[tuple[tuple[tuple[int, ...], int], int]]:
-    counts: dict[tuple[tuple[int, ...], int], int] = {}
-    for one in drawn:
-        counts[one] = counts.get(one, 0) + 1
-    return list(counts.items())

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin._common.resources import silent
+from twin._common.resources import one_blas_thread, silent
 from twin._common.units import count_with_noun
 from twin.thermal.evidence import (
     STEPS,
@@ -140,25 +140,14 @@ class AveragedRecord:
     notices: tuple[str, ...]
 
 
-@final
-@dataclass(frozen=True)
-class Fitted:
-    """The models of a group of displacements: those drawn, of few terms, and for each displacement the one of all terms."""
-
-    displacements: tuple[int, ...]
-    draws: DrawnModels
-    dense: tuple[Average, ...]
-
-    def averages(self, weight: np.ndarray) -> list[Average]:
-        """Return the average of both kinds for each displacement; (displacements of the record,) the weight of few terms."""
-        both = zip(self.displacements, self.draws.averages, self.dense, strict=True)
-        return [few.with_other(every, float(weight[k])) for k, few, every in both]
+Fitted = list[tuple[tuple[int, ...], DrawnModels]]
+"""The displacements of every group, and their models."""
 
 
 @final
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Errors of models on averaged rows that they were not fitted to (displacements,), and the weight of models of few terms.
+    """Errors of models on averaged rows that they were not fitted to (displacements,).
 
     ``between``: (displacements, terms + 1, terms + 1) covariance of the coefficients by their changes without one block of time.
     """
@@ -166,7 +155,6 @@ class HeldOutErrors:
     factor: np.ndarray
     blocks_um: np.ndarray
     forward_um: np.ndarray
-    weight: np.ndarray
     between: np.ndarray
 
 
@@ -207,9 +195,10 @@ def fit_thermal(
     """
     problem = _problem(record)
     progress("fitting", 0.0)
-    fitted = _fit(problem, np.arange(len(problem.x)), seed, steps=LONG_CHAIN * STEPS)
-    held_out = _held_out(problem, seed, progress) if validate else None
-    return _model(problem, fitted, held_out)
+    with one_blas_thread():
+        fitted = _fit(problem, np.arange(len(problem.x)), seed, steps=LONG_CHAIN * STEPS)
+        held_out = _held_out(problem, seed, progress) if validate else None
+        return _model(problem, fitted, held_out)
 
 
 def _problem(record: ThermalRecord) -> AveragedRecord:
@@ -251,9 +240,9 @@ def _problem(record: ThermalRecord) -> AveragedRecord:
     )
 
 
-def _fit(problem: AveragedRecord, rows: np.ndarray, seed: int, *, steps: int = STEPS) -> list[Fitted]:
+def _fit(problem: AveragedRecord, rows: np.ndarray, seed: int, *, steps: int = STEPS) -> Fitted:
     """Fit the averaged rows of these indices."""
-    found = []
+    found: Fitted = []
     for group in problem.together:
         columns = list(group)
         evidence = Evidence(
@@ -264,10 +253,7 @@ def _fit(problem: AveragedRecord, rows: np.ndarray, seed: int, *, steps: int = S
             problem.noise_um[columns],
             problem.duration_s,
         )
-        draws = evidence.draw(np.random.default_rng(seed), steps)
-        varies = np.maximum(problem.x[rows].std(axis=0), 1e-9)
-        dense = [evidence.dense(k, problem.y[rows, column].std() / varies) for k, column in enumerate(columns)]
-        found.append(Fitted(group, draws, tuple(dense)))
+        found.append((group, evidence.draw(np.random.default_rng(seed), steps)))
     return found
 
 
@@ -284,36 +270,17 @@ def _held_out(problem: AveragedRecord, seed: int, progress: Callable[[str, float
         progress("validating", (i + 1) / (len(folds) + 1))
         fitted.append(_fit(problem, np.flatnonzero(~left_out), seed))
     forward, blocks = slice(0, len(FORWARD_SHARES)), slice(len(FORWARD_SHARES), len(FORWARD_SHARES) + BLOCKS)
-    weight = _weight(problem, fitted[forward], folds[forward])
-    between = _between_parts(problem, fitted[blocks], weight)
-    found = []
-    for i, (one, left_out) in enumerate(zip(fitted, folds, strict=True)):
-        # The weight by which a later part is predicted must not be chosen by that part.
-        others = [k for k in range(len(FORWARD_SHARES)) if k != i]
-        chosen = _weight(problem, [fitted[k] for k in others], [folds[k] for k in others])
-        found.append(_errors(problem, one, chosen if i < len(FORWARD_SHARES) else weight, left_out, between))
+    between = _between_parts(problem, fitted[blocks])
+    found = [_errors(problem, one, left_out, between) for one, left_out in zip(fitted, folds, strict=True)]
     squares = np.array([(error**2).mean(axis=0) for error, _ in found])
     ratios = squares / np.array([variance.mean(axis=0) for _, variance in found])
-    # Later rows are predicted worse than rows between fitted ones: the larger of both ratios widens the uncertainty.
-    factor = np.sqrt(np.maximum(ratios.mean(axis=0), ratios[forward].mean(axis=0)))
+    # Errors last for hours, so that each part that follows is about one reading of their size: the largest ratio is taken.
+    factor = np.sqrt(ratios[forward].max(axis=0))
     held_out_um = np.sqrt(squares[blocks].mean(axis=0))
-    return HeldOutErrors(np.maximum(factor, 1.0), held_out_um, np.sqrt(squares[forward]), weight, between)
+    return HeldOutErrors(factor, held_out_um, np.sqrt(squares[forward]), between)
 
 
-def _weight(problem: AveragedRecord, fitted: Sequence[Sequence[Fitted]], folds: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the weight of models of few terms, 0 to 1, that predicts what follows best in the squared mean (displacements,).
-
-    Stacking of two predictions: D. H. Wolpert, Neural Networks 5 (1992) 241-259.
-    """
-    product, apart = np.zeros((2, problem.y.shape[1]))
-    for one, left_out in zip(fitted, folds, strict=True):
-        few, every = (_errors(problem, one, np.full(len(apart), share), left_out)[0] for share in (1.0, 0.0))
-        product += np.mean(few * (few - every), axis=0)
-        apart += np.mean((few - every) ** 2, axis=0)
-    return 1.0 - np.clip(product / np.maximum(apart, 1e-30), 0.0, 1.0)
-
-
-def _between_parts(problem: AveragedRecord, fitted: Sequence[Sequence[Fitted]], weight: np.ndarray) -> np.ndarray:
+def _between_parts(problem: AveragedRecord, fitted: Sequence[Fitted]) -> np.ndarray:
     """Return the covariance of the coefficients by the jackknife over blocks of time (displacements, terms + 1, terms + 1).
 
     A machine does not respond to every start of its spindle alike; the residuals of a fit, in which lags of many sensors follow the
@@ -324,7 +291,7 @@ def _between_parts(problem: AveragedRecord, fitted: Sequence[Sequence[Fitted]], 
     between = np.empty((problem.y.shape[1], size, size))
     for number, group in enumerate(problem.together):
         for k, displacement in enumerate(group):
-            means = np.array([one[number].averages(weight)[k].mean for one in fitted])
+            means = np.array([one[number][1].averages[k].mean for one in fitted])
             away = means - means.mean(axis=0)
             between[displacement] = (len(away) - 1) / len(away) * away.T @ away
     return between
@@ -346,8 +313,7 @@ def _highest_speed_left_out(problem: AveragedRecord) -> np.ndarray | None:
 
 def _errors(
     problem: AveragedRecord,
-    fitted: Sequence[Fitted],
-    weight: np.ndarray,
+    fitted: Fitted,
     rows: np.ndarray,
     between: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -357,8 +323,8 @@ def _errors(
     """
     x = np.c_[problem.x[rows], np.ones(int(rows.sum()))]
     error, variance = np.empty((len(x), problem.y.shape[1])), np.empty((len(x), problem.y.shape[1]))
-    for one in fitted:
-        for displacement, average in zip(one.displacements, one.averages(weight), strict=True):
+    for group, draws in fitted:
+        for displacement, average in zip(group, draws.averages, strict=True):
             error[:, displacement] = problem.y[rows, displacement] - x @ average.mean
             covariance = average.covariance if between is None else average.covariance + between[displacement]
             spread = np.einsum("ij,jk,ik->i", x, covariance, x)
@@ -366,12 +332,12 @@ def _errors(
     return error, variance
 
 
-def _model(problem: AveragedRecord, fitted: Sequence[Fitted], held_out: HeldOutErrors | None) -> ThermalModel:
+def _model(problem: AveragedRecord, fitted: Fitted, held_out: HeldOutErrors | None) -> ThermalModel:
     record = problem.record
     found: dict[int, DisplacementModel] = {}
-    for one in fitted:
-        for k, displacement in enumerate(one.displacements):
-            found[displacement] = _displacement(problem, one, k, held_out)
+    for group, draws in fitted:
+        for k, displacement in enumerate(group):
+            found[displacement] = _displacement(problem, displacement, draws, k, held_out)
     used = [name for group in problem.groups for name in group]
     columns = [record.sensors.index(name) for name in used]
     values = record.temperature_degC[:, columns]
@@ -396,18 +362,17 @@ def _model(problem: AveragedRecord, fitted: Sequence[Fitted], held_out: HeldOutE
     )
 
 
-def _displacement(problem: AveragedRecord, one: Fitted, k: int, held_out: HeldOutErrors | None) -> DisplacementModel:
-    displacement = one.displacements[k]
-    # Without parts left out, nothing says how much better all terms predict: the few that are named are the model.
-    weight = np.ones(problem.y.shape[1]) if held_out is None else held_out.weight
-    average = one.averages(weight)[k]
+def _displacement(
+    problem: AveragedRecord, displacement: int, draws: DrawnModels, k: int, held_out: HeldOutErrors | None
+) -> DisplacementModel:
+    average = draws.averages[k]
     if held_out is not None:
         average = replace(average, covariance=average.covariance + held_out.between[displacement])
     name = problem.record.displacements[displacement]
     factor = 1.0 if held_out is None else float(held_out.factor[displacement])
     return DisplacementModel(
         name,
-        named_terms(name, problem.terms, problem.x, one.draws, average, factor),
+        named_terms(name, problem.terms, problem.x, draws, average, factor),
         read_only(average.mean),
         average.residual_um,
         float("nan") if held_out is None else float(held_out.blocks_um[displacement]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
@@ -11,19 +11,26 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin._common.arrays import read_only
-from twin._common.errors import InputError
+from twin._common.errors import InputError, closest_name
 from twin._common.files import write_atomic
 from twin._common.records import SPEED, json_form
 from twin._common.units import count_with_noun
 from twin._common.yaml_files import load_yaml, yaml_text
 from twin.display import figure
 from twin.display.results import Result
+from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.effects.thermal_response import NAME as RESPONSE
+from twin.model.effects.thermal_response import ResponseTerm, ThermalResponse, thermal_response
+from twin.numerics.covariance import Covariance
 from twin.thermal.evidence import Inputs, TermCandidate, drivers, features, lagged
 from twin.thermal.record import ThermalRecord
 
 SCHEMA: Final = "twin.thermal-model/1"
 FOLLOWS: Final = 5.0
 """A record continues the fitted one if it begins within this many of its intervals."""
+LEAST_TERM_UM: Final = 1e-3
+"""A term that moves less than this over the fitted range is left out of an effect."""
 
 
 @final
@@ -75,7 +82,7 @@ class DisplacementModel:
         coefficients: (candidates + 1,), the constant last: their sum over the candidates is the prediction.
         held_out_um: RMS error on blocks of time that were not fitted; NaN if not validated.
         forward_um: RMS error on what follows the fitted part, for each share of `FORWARD`; empty if not validated.
-        calibration: factor from the uncertainty computed to the error found on held-out data, at least 1.
+        calibration: factor from the uncertainty computed to the error found on what follows fitted parts.
         directions: (k, candidates + 1): the sum of the squares of their products with the candidates' values is a variance, µm².
     """
 
@@ -106,6 +113,7 @@ class ThermalPrediction(Result):
         standard_uncertainty_um: (n, displacements).
         warnings: what the uncertainty was widened for.
         residual_um: measured minus predicted (n, displacements), NaN where the record has no such displacement.
+        fitted: whether the record begins as the fitted one did: its residuals are no errors on later data.
     """
 
     displacements: tuple[str, ...]
@@ -114,6 +122,7 @@ class ThermalPrediction(Result):
     standard_uncertainty_um: np.ndarray
     warnings: tuple[str, ...]
     residual_um: np.ndarray
+    fitted: bool = False
 
     @property
     def brief(self) -> str:
@@ -217,6 +226,87 @@ class ThermalModel(Result):
             read_only(np.stack(u, axis=1)),
             tuple([*warnings, *range_warnings]),
             read_only(self._measured(record) - predicted),
+            fitted=not goes_on and not warnings,
+        )
+
+    def error_um(self, later: ThermalPrediction | None = None) -> dict[str, float]:
+        """Return the RMS error of each displacement that was measured on later data, µm; NaN where there are none.
+
+        ``later``: prediction of a later record; where that has no displacement, or is the fitted one, the error on what followed parts
+        of the fitted record.
+        """
+        inside = {
+            one.name: float(np.sqrt(np.mean(np.square(one.forward_um or (np.nan,))))) for one in self.displacements
+        }
+        if later is None or later.fitted:
+            return inside
+        found = zip(later.displacements, later.rms_um, strict=True)
+        return {name: float(value) if np.isfinite(value) else inside[name] for name, value in found}
+
+    def extend(
+        self, calibration: Calibration, along: Mapping[str, str], later: ThermalPrediction | None = None
+    ) -> Calibration:
+        """Return a calibration with the displacements added as effects, for programs and live kinematics.
+
+        The standard uncertainty of each is the RMS error on later data (`error_um`), taken as constant over a program. Each effect is
+        refused outside the temperatures and speeds that were fitted. A drift counts as decayed.
+
+        Args:
+            calibration: the calibration.
+            along: direction of the base frame, X, Y or Z → the displacement that is measured along it, of the tool side; with a minus
+                sign before its name if it counts against the direction.
+            later: prediction of a later record with displacements.
+
+        Raises:
+            InputError: no displacement, no such direction or displacement, one that was not validated.
+        """
+        if not along:
+            raise InputError(
+                "no displacement along an axis of the base frame", expected="X, Y or Z with a displacement"
+            )
+        errors, effects, variances, texts = self.error_um(later), [], [], []
+        for direction, name in along.items():
+            one = next((one for one in self.displacements if one.name == name.removeprefix("-")), None)
+            if one is None:
+                known = [one.name for one in self.displacements]
+                raise InputError(
+                    f"no such displacement in the model of {self.source}",
+                    expected=f"one of {', '.join(known)}, with a minus sign if it counts against {direction}",
+                    value=name,
+                    nearest=closest_name(name, known),
+                )
+            if not np.isfinite(errors[one.name]):
+                raise InputError(f"the error of {one.name} on later data is unknown", expected="a fit with validation")
+            if any(effect.name == f"{RESPONSE}:{direction}" for effect in calibration.extra):
+                raise InputError(
+                    f"the calibration has a thermal response along {direction}",
+                    expected="the calibration before that was added",
+                    file=calibration.path,
+                )
+            effects.append(self._effect(calibration.machine, direction, one, -1.0 if name.startswith("-") else 1.0))
+            variances.append(errors[one.name] ** 2)
+            texts.append(f"along {direction} {name}, RMS error on later data {errors[one.name]:.2g} µm")
+        names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
+        source = f"thermal response fitted to {Path(self.source).name}: {'; '.join(texts)}"
+        return calibration.extended(effects, Covariance(names, read_only(np.diag(variances))), source)
+
+    def _effect(self, machine: Machine, direction: str, one: DisplacementModel, sign: float) -> ThermalResponse:
+        limits = {
+            f"T_{name}_degC": (float(low), float(high))
+            for name, (low, high) in zip(self.sensors, self.temperature_range_degC, strict=True)
+        }
+        reference = {f"T_{name}_degC": value for name, value in self.inputs.reference_degC.items()}
+        terms, offset = [], float(one.coefficients[-1])
+        for term, coefficient in zip(self.candidates, one.coefficients[:-1].tolist(), strict=True):
+            columns = tuple(f"T_{name}_degC" for name in term.sensors) or (SPEED,)
+            if term.effect == "thermal_drift":
+                offset += coefficient
+            elif abs(coefficient) * max(np.ptp(limits.get(column, (0.0, 1.0))) for column in columns) > LEAST_TERM_UM:
+                terms.append(ResponseTerm(columns, term.time_constant_s, term.exponent, sign * coefficient))
+        used = dict.fromkeys(column for term in terms for column in term.columns)
+        ranges = {column: limits.get(column, (0.0, self.inputs.highest_rpm)) for column in used}
+        return thermal_response(
+            machine, direction, sign * offset, terms, {name: reference[name] for name in used if name != SPEED}, ranges
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -269,7 +359,7 @@ class ThermalModel(Result):
         now = drivers(record, self.candidates, self.inputs)[0]
         times = np.array([self.end_s, float(record.time_s[0])])
         states = [
-            lagged(np.array([last, first]), times, term.time_constant_s, float(state))[1]
+            lagged(np.array([last, first]), times, term.time_constant_s, float(state), held=term.exponent > 0.0)[1]
             for term, last, first, state in zip(self.candidates, self.end_input, now, self.end_state, strict=True)
         ]
         return features(record, self.candidates, self.inputs, np.array(states))

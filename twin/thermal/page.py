@@ -12,8 +12,9 @@ from twin._common.files import write_atomic
 from twin._common.units import HOUR, count_with_noun
 from twin.display import Html, measured, render
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, SHADE, embedded, new_figure, style_axes
+from twin.model.calibration import Calibration
+from twin.model.effects.thermal_response import ThermalResponse
 from twin.thermal.fit import FORWARD_SHARES
-from twin.thermal.fit import FORWARD_SHARES as SHARES
 from twin.thermal.model import ThermalModel, ThermalPrediction, ThermalTerm
 from twin.thermal.record import ThermalRecord
 
@@ -75,6 +76,18 @@ def prediction_lines(path: str, prediction: ThermalPrediction) -> list[str]:
     return lines
 
 
+def response_lines(calibration: Calibration) -> list[str]:
+    """Return one line for each thermal response of a calibration: its uncertainty and its ranges."""
+    found = calibration.covariance
+    u = dict(zip(found.names, np.sqrt(np.diag(found.matrix)).tolist(), strict=True))
+    return [
+        f"{one.name}: RMS error on later data {u[one.parameters[0].name]:.2g} µm; valid for "
+        + ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in one.ranges.items())
+        for one in calibration.extra
+        if isinstance(one, ThermalResponse)
+    ]
+
+
 def save_prediction(prediction: ThermalPrediction, path: str | Path) -> None:
     """Write a table with ``time_s`` and, for each displacement, the prediction ``<name>_um`` and ``u_<name>_um``, atomically.
 
@@ -102,7 +115,7 @@ def thermal_html(model: ThermalModel, shown: Sequence[tuple[ThermalRecord, Therm
         title=f"Thermal model of {Path(model.source).name}",
         headline=f"{count_with_noun(len(model.displacements), 'displacement')}, {count_with_noun(listed, 'term')} that matter",
         model=model,
-        shares=", ".join(f"{share:.0%}" for share in SHARES),
+        shares=", ".join(f"{share:.0%}" for share in FORWARD_SHARES),
         groups=[group for group in model.groups if len(group) > 1],
         shown=[(Path(record.path).name, record.path == model.source, prediction) for record, prediction in shown],
         measured=measured,

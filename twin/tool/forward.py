@@ -112,7 +112,7 @@ class Kinematics:
 
     Raises:
         InputError: a tool length that is negative, too large or not a number; an effect needs a channel that is not given; a
-            temperature outside the range of an empirical effect.
+            temperature or speed outside the range of an effect.
 
     Examples:
         >>> machine = twin.Machine.load("dmu50")
@@ -151,7 +151,7 @@ class Kinematics:
             )
         given_errors = Calibration.given(machine, calibration)
         self.calibration = given_errors.with_tool(self.tool_length_mm)
-        check_ranges(self.calibration.empirical, self.conditions.channels)
+        check_ranges(self.calibration.bounded, self.conditions.channels)
         self.chain = chain_function(machine)
         varying = [*(f"{APPROACH}{axis.name}" for axis in machine.axes), *self.by_pose]
         self._terms = ErrorTerms(machine, self.calibration.effects, self.conditions.channels, varying)

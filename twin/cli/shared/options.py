@@ -218,6 +218,13 @@ def calibration_of(path: Path | None, machine: Machine) -> Calibration:
     return Calibration.default(machine) if path is None else Calibration.load(path, machine)
 
 
+def record_path(path: Path) -> Path:
+    """Return a record of a machine by its path, or a bundled one by its name."""
+    from twin.samples import RECORDS
+
+    return next((one for one in RECORDS if path == Path(one.name) and not path.exists()), path)
+
+
 def unused(at: Conditions, errors: Calibration) -> list[str]:
     """Return one line for each condition that the calibration does not need."""
     return [f"{name} has no effect: the calibration does not need it" for name in at.unused(errors)]
@@ -292,7 +299,7 @@ def conditions(
 
     words = pairs("--temperature", temperatures, "axis or sensor and °C: X=23.1")
     found = {name: number("--temperature", text, entry) for name, text, entry in words}
-    record = None if log is None else MachineLog.load(log)
+    record = None if log is None else MachineLog.load(record_path(log))
     return Conditions(found, time_s, rpm, load_kg, record, speed_of_program=by_block)
 
 

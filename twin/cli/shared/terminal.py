@@ -210,6 +210,7 @@ MANY_WORDS_OF: Final[Mapping[str, Mapping[str, re.Pattern[str]]]] = {
     "evaluate": {"--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*"), "--sensors": re.compile(r"[A-Za-z][\w-]*=.*")},
     "report": {"--tolerance": re.compile(r"[A-Za-z]\w*=.*")},
     "machine": {"--no": re.compile(r"\d+")},
+    "thermal": {"--along": re.compile(r"[A-Za-z]=.*")},
 }
 """The same for options that take several words with one command only."""
 VARIABLE: Final = "_TWIN_COMPLETE"

@@ -504,8 +504,8 @@ def _states(live: LiveCorrection, poses: int) -> np.ndarray:
     values = [random_approach(np.zeros((poses, len(live.machine.axes))))]
     values += [rng.uniform(*_usual(one), (poses, 1)) for one in channels_of(live)]
     plain = np.hstack(values) if live.plain else values[0]
-    held = np.hstack([plain, np.zeros((poses, len(live.histories)))])
-    if not live.histories:
+    held = np.hstack([plain, np.zeros((poses, len(live.lags)))])
+    if not live.lags:
         return held
     (drives,) = BatchFunction(live.drives)(held)
     return np.hstack([plain, drives])

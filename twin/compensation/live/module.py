@@ -70,7 +70,7 @@ class LiveCorrection:
     """Functions of one machine with its errors, for three linear axes and at most two rotary ones, else `InputError`.
 
     All positions are metres and radians, axes in command order. ``channels`` are the directions of approach (axes,), then ``plain``,
-    those that the control must supply, then the outputs of the lags (``histories``). ``errors``: (positions, channels) → errors
+    those that the control must supply, then the outputs of the ``lags``. ``errors``: (positions, channels) → errors
     (6·frames,).
     """
 
@@ -90,7 +90,8 @@ class LiveCorrection:
         # The derivatives by the other parameters do not enter the errors.
         unused = {name: 0.0 for effect in self.histories for name in effect.factor_channels[1:]}
         varying = [*(f"{APPROACH}{axis.name}" for axis in machine.axes), *self.plain]
-        varying += [effect.factor_channels[0] for effect in self.histories]
+        self.lags = tuple(lag for effect in self.histories for lag in effect.lags)
+        varying += [lag.channel for lag in self.lags]
         terms = ErrorTerms(machine, effects, unused, varying)
         errors = terms.vector({effect.name for effect in effects})
         self.errors = ca.Function("errors", [terms.q, terms.channels], [errors])
@@ -108,8 +109,8 @@ class LiveCorrection:
         return read_only(bounds * self.machine.scale[:, None])
 
     def range_of(self, name: str, low: float, high: float) -> tuple[float, float]:
-        """Return the part of the range of an axis (mm, degrees) or a channel over which the empirical effects were measured."""
-        for effect in self.calibration.empirical:
+        """Return the part of the range of an axis (mm, degrees) or a channel over which effects with a range were measured."""
+        for effect in self.calibration.bounded:
             for column, (lowest, highest) in effect.ranges.items():
                 if channel_name(column) == name:
                     low, high = max(low, lowest), min(high, highest)
@@ -184,11 +185,11 @@ class LiveCorrection:
 
     @cached_property
     def drives(self) -> ca.Function:
-        """Function of the channels: the inputs of the lags (histories,); one zero if there are none."""
+        """Function of the channels: the inputs of the lags (lags,); one zero if there are none."""
         channels = ca.SX.sym("channels", self.channel_count)
         first = len(self.machine.axes)
         state = dict(zip(self.plain, ca.vertsplit(channels)[first:], strict=False))
-        inputs = [effect.driven(state) for effect in self.histories] or [0.0]
+        inputs = [source for effect in self.histories for source in effect.driven(state)] or [0.0]
         return ca.Function("twin_drives", [channels], [ca.densify(ca.vertcat(*inputs))])
 
     def _errors_at(self, q: Any, channels: Any) -> Any:
@@ -335,7 +336,7 @@ def _numbers(live: LiveCorrection, largest: np.ndarray) -> str:
         f'#define NAME "{NAME}"',
         f"#define AXES {len(machine.axes)}",
         f"#define CHANNELS {len(channels)}",
-        f"#define HISTORIES {len(live.histories)}",
+        f"#define HISTORIES {len(live.lags)}",
         "/* All numbers in metres and radians but where a unit is given. */",
         _array("int", "WORD", "AXES", (LETTERS.index(axis.name) for axis in machine.axes)),
         _array("int", "LINEAR", "3", machine.linear),
@@ -348,10 +349,8 @@ def _numbers(live: LiveCorrection, largest: np.ndarray) -> str:
         _array("double", "CHANNEL_HIGH", *of_channels, (*(one.high for one in channels), 0.0)),
         _array("double", "CHANNEL_RATE", *of_channels, (*(one.rate for one in channels), 0.0), "per second"),
         _array("double", "CHANNEL_START", *of_channels, (*(one.start for one in channels), 0.0)),
-        _array("int", "HISTORY_SETTLED", "HISTORIES + 1", (*(one.starts_settled for one in live.histories), 0)),
-        _array(
-            "double", "HISTORY_CONSTANT", "HISTORIES + 1", (*(one.time_constant for one in live.histories), 1.0), "s"
-        ),
+        _array("int", "HISTORY_SETTLED", "HISTORIES + 1", (*(one.starts_settled for one in live.lags), 0)),
+        _array("double", "HISTORY_CONSTANT", "HISTORIES + 1", (*(one.time_constant for one in live.lags), 1.0), "s"),
         f"static const char *const CHANNEL_NAME[CHANNELS + 1] = {{{pins}}};",
     ]
     return "\n".join(lines) + "\n"

@@ -23,6 +23,7 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions, needed, temperature_channel
 from twin.model.effects.base import HistoryShift
+from twin.model.effects.empirical import check_ranges
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect, FeedUnit, Technology
 
@@ -104,6 +105,7 @@ def block_conditions(
     end = start + np.cumsum(said.dwell_s)[path.columns.line] + np.cumsum(lengths)
     course = _Course(program.source, said, path.columns, (end - lengths, end), conditions, needed(calibration))
     state = course.state()
+    check_ranges(calibration.bounded, state, file=None if conditions.log is None else conditions.log.path)
     for effect in calibration.effects:
         if isinstance(effect, HistoryShift):
             state |= dict(zip(effect.factor_channels, effect.factors(state), strict=True))

@@ -319,10 +319,10 @@ def _check_arcs(pieces: Pieces, rows: Rows) -> None:
 
 
 def _check_ranges(pieces: Pieces, rows: Rows) -> None:
-    """Raise `InputError` if a corrected block leaves the range of an empirical effect between its end points."""
+    """Raise `InputError` if a corrected block leaves the range of an effect between its end points."""
     calibration = pieces.prepared.calibration
-    if calibration.empirical:
+    if calibration.bounded:
         rows = rows.where(~rows.untouched)
         lines = pieces.path.columns.line[rows.motion] + 1
         state = calibration.state(rows.nominal) | pieces.conditions.channels(rows.motion, rows.fraction)
-        check_ranges(calibration.empirical, state, lines, pieces.source)
+        check_ranges(calibration.bounded, state, lines, pieces.source)

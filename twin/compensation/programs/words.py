@@ -325,9 +325,9 @@ def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
 
 
 def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:
-    """Raise `InputError` for a position within an axis's range that its curves or empirical effects do not cover."""
+    """Raise `InputError` for a position within an axis's range that its curves or effects do not cover."""
     outside = real.calibration.outside_domains(commands)
-    if not (outside.any() or real.calibration.empirical):
+    if not (outside.any() or real.calibration.bounded):
         return
     inside = ~outside_range(real.machine, commands)
     outside &= inside[:, None]
@@ -342,4 +342,4 @@ def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np
             line=int(lines[row]),
             value=f"{axis.name} {commands[row, column]:.6g}",
         )
-    check_ranges(real.calibration.empirical, real.calibration.state(commands[inside]), lines[inside], source)
+    check_ranges(real.calibration.bounded, real.calibration.state(commands[inside]), lines[inside], source)

@@ -418,6 +418,14 @@ class ToolSideShift(Effect):
         return {i: part * shape for i, part in enumerate(self.side.vector) if part != 0.0}
 
 
+class Lag(NamedTuple):
+    """A first-order lag of the machine's past."""
+
+    channel: str  # name of the channel that holds its output
+    time_constant: float  # s
+    starts_settled: bool  # whether it is equal to its input at the first reading, or zero
+
+
 class HistoryShift(ToolSideShift):
     """A shift of the tool side that depends on what the machine did before.
 
@@ -427,13 +435,18 @@ class HistoryShift(ToolSideShift):
 
     history = True
     time_constant: float
-    """Time constant of the lag, s."""
+    """Time constant of the lag, s, of an effect that has one."""
     starts_settled: ClassVar[bool]
-    """Whether the lag is equal to its input at the first reading, or zero."""
+    """Whether that lag is equal to its input at the first reading, or zero."""
+
+    @property
+    def lags(self) -> tuple[Lag, ...]:
+        """Return its lags; by default one, whose output is the derivative by the first parameter."""
+        return (Lag(self.factor_channels[0], self.time_constant, self.starts_settled),)
 
     @abstractmethod
-    def driven(self, positions: Mapping[str, Any]) -> Any:
-        """Return the input of the lag whose output is the derivative by the first parameter."""
+    def driven(self, positions: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Return the inputs of `lags`."""
 
     @property
     def factor_channels(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from twin._common.errors import InputError
 from twin._common.records import APPROACH
 from twin.model.effects.base import Effect, Frame, Parameter, channel
 from twin.model.effects.harmonic import Waves, label, terms
+from twin.model.effects.thermal_response import ThermalResponse
 from twin.numerics.functions import cos, sin
 
 DIRECTIONS: Final = "xyz"
@@ -153,12 +154,12 @@ class Empirical(Effect):
 
 
 def check_ranges(
-    effects: Sequence[Empirical],
+    effects: Sequence[Empirical | ThermalResponse],
     state: Mapping[str, Any],
     lines: np.ndarray | None = None,
     file: str | Path | None = None,
 ) -> None:
-    """Raise `InputError` where positions or channels (n,) leave the range of an empirical effect; it names column, value and range.
+    """Raise `InputError` where positions or channels (n,) leave the range of an effect; it names column, value and range.
 
     Missing ones are not checked, and NaN counts as within every range. ``lines`` (n,) is the line of each in the file.
     """
@@ -169,7 +170,7 @@ def check_ranges(
                 low, high = effect.ranges[column]
                 raise InputError(
                     f"{column} is outside the range over which {effect.name.replace(':', ' ', 1)} was measured",
-                    expected=f"{low:g} to {high:g}, or a calibration without that effect (its cause is unknown)",
+                    expected=f"{low:g} to {high:g}, or a calibration without that effect",
                     value=float(np.atleast_1d(state[channel_name(column)])[row]),
                     file=file,
                     line=None if lines is None else int(lines[row]),

@@ -51,15 +51,15 @@ class SpindleGrowth(HistoryShift):
         """Parameters and the speed to which the amplitude refers."""
         return {**super().numbers, "highest_rpm": self.highest_rpm}
 
-    def driven(self, positions: Mapping[str, Any]) -> Any:
+    def driven(self, positions: Mapping[str, Any]) -> tuple[Any, ...]:
         """See `HistoryShift.driven`; needs ``spindle_rpm``."""
-        return (channel(positions, SPEED, self.name) / self.highest_rpm) ** self.exponent
+        return ((channel(positions, SPEED, self.name) / self.highest_rpm) ** self.exponent,)
 
     def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
         """See `HistoryShift.factors`; needs ``spindle_rpm`` and ``time_s``."""
         share = np.asarray(channel(state, SPEED, self.name), dtype=float) / self.highest_rpm
         time = np.asarray(channel(state, TIME, self.name), dtype=float)
-        driven = np.asarray(self.driven(state), dtype=float)
+        driven = np.asarray(self.driven(state)[0], dtype=float)
         by_exponent = driven * np.log(np.where(share > 0.0, share, 1.0))
         shape = np.broadcast_shapes(share.shape, time.shape)
         at = np.broadcast_to(time, shape).reshape(-1)

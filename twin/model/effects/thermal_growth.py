@@ -122,13 +122,13 @@ class ThermalLag(HistoryShift):
         self.coefficient = coefficient
         self.time_constant = time_constant
 
-    def driven(self, positions: Mapping[str, Any]) -> Any:
+    def driven(self, positions: Mapping[str, Any]) -> tuple[Any, ...]:
         """See `HistoryShift.driven`; needs ``T_<sensor>_degC``."""
-        return channel(positions, f"T_{self.sensor}_degC", self.name) - REFERENCE_DEGC
+        return (channel(positions, f"T_{self.sensor}_degC", self.name) - REFERENCE_DEGC,)
 
     def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
         """See `HistoryShift.factors`; needs ``T_<sensor>_degC``, and ``time_s`` if there is more than one reading."""
-        warm = np.asarray(self.driven(state), dtype=float)
+        warm = np.asarray(self.driven(state)[0], dtype=float)
         if warm.size == 1:
             return warm, np.zeros_like(warm)
         time = np.broadcast_to(np.asarray(channel(state, TIME, self.name), dtype=float), warm.shape)
