@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -315,6 +316,81 @@ def test_a_flat_bottom_that_is_hardly_tilted_cuts_at_its_tip() -> None:
     assert found.place_mm == pytest.approx(tip, abs=1e-9)
     found = contacts(plane, ToolShape(number=1, diameter=10.0), tip, axis * [100.0, 1.0, 1.0], 0.2)
     assert found.place_mm[0, 0] == pytest.approx(8.0, abs=0.01)  # 20 mrad: its lowest point
+
+
+DRILLED_THEN_BORED = """G90 G21 G17 G94
+B0 C0
+T1 M6
+G43 H1
+G0 X250 Y225 Z-220
+G1 Z-261 F200
+G0 Z-220
+T2 M6
+G43 H2
+G0 X252.5 Y225
+G1 Z-245 F200
+G3 I-2.5 J0
+G1 Z-250
+G3 I-2.5 J0
+G1 Z-255
+G3 I-2.5 J0
+G0 Z-220
+M30
+"""
+BORED = """schema: twin.part/1
+units: mm
+tools:
+  - {{number: 1, diameter: 15, length: {0}}}
+  - {{number: 2, diameter: 10, length: {1}, cutting_length: 1}}
+features:
+  A: {{kind: plane, point: [250, 225, -240], normal: [0, 0, 1], made: elsewhere}}
+  B: {{kind: plane, point: [250, 175, -240], normal: [0, -1, 0], made: elsewhere}}
+  C: {{kind: plane, point: [200, 225, -240], normal: [-1, 0, 0], made: elsewhere}}
+  H: {{kind: hole, point: [250, 225, -240], depth: 20, diameter: 15}}
+tolerances:
+  - {{kind: position, of: H, zone: 0.2, datums: [A, B, C]}}
+"""
+
+
+@pytest.mark.parametrize(("drill", "mill"), [(150.0, 95.0), (120.0, 120.0)], ids=["two lengths", "one length"])
+def test_a_bored_hole_is_the_second_tools_whatever_drilled_it(tmp_path: Path, drill: float, mill: float) -> None:
+    """The part's zero is the program's, to which the control adds the length of each tool; the tools are told from each other."""
+    (tmp_path / "part.nc").write_text(DRILLED_THEN_BORED)
+    (tmp_path / "part.yaml").write_text(BORED.format(drill, mill))
+    machine = twin.Machine.load("dmu50")
+    part, program = PartDrawing(tmp_path / "part.yaml"), read_program(tmp_path / "part.nc")
+    found = forecast(part, program, machine, twin.Calibration.default(machine))
+    assert not found.features["H"].drilled
+    assert (found.features["H"].tool, found.features["H"].lines) == ("2", (11, 16))
+    truth = TruthMachine(machine.path.parent / "dmu50.calibration.yaml", mill)
+    turn = np.radians(np.arange(0.0, 360.0, 5.0))
+    way = np.column_stack([np.cos(turn), np.sin(turn)])
+    worst = 0.0
+    for z in (-245.0, -250.0, -255.0):
+        at = np.column_stack([2.5 * way + [250.0, 225.0], np.full(len(turn), z + mill), np.zeros((len(turn), 2))])
+        edge = np.array([truth.pose(q)[:2, 3] for q in at]) + 5.0 * way
+        centre = (
+            2.0
+            * np.linalg.lstsq(np.column_stack([way, np.ones(len(way))]), np.linalg.norm(edge, axis=1), rcond=None)[0][
+                :2
+            ]
+        )
+        worst = max(worst, float(np.linalg.norm(centre)) * 1e3)
+    assert found.tolerances[0].before.value_um == pytest.approx(worst, rel=0.02)
+
+
+def test_a_zero_that_moves_with_the_tool_is_refused(tmp_path: Path) -> None:
+    """Without G43 the words are positions of the axes: the tip of a longer tool stands elsewhere."""
+    (tmp_path / "part.nc").write_text(re.sub("G43 H.\n", "", DRILLED_THEN_BORED))
+    (tmp_path / "part.yaml").write_text(BORED.format(150, 95))
+    machine = twin.Machine.load("dmu50")
+    with pytest.raises(twin.InputError, match="the program's zero is not one place"):
+        forecast(
+            PartDrawing(tmp_path / "part.yaml"),
+            read_program(tmp_path / "part.nc"),
+            machine,
+            twin.Calibration.default(machine),
+        )
 
 
 @pytest.mark.slow

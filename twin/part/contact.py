@@ -17,8 +17,8 @@ from twin.part.features import CylinderFeature, Surface, ToolShape, across
 
 ROUNDS: Final = 6
 """Steps from a point on the surface to the tool's contact and back; four are enough for a curved surface."""
-FLANK: Final = 1e-4
-"""Component of the normal along the tool's axis, up to which the flank touches in a line."""
+FLANK: Final = 1e-3
+"""Component of the normal along the tool's axis, up to which the flank touches in a line: a tool is not tilted back exactly."""
 FLANK_POINTS: Final = 5
 BOTTOM: Final = 1e-3
 """Sine of the angle between normal and axis, up to which a flat bottom touches: a compensated tool is not tilted back exactly."""

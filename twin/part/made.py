@@ -13,7 +13,6 @@ from twin._common.resources import Progress, silent
 from twin._common.units import MM, UM
 from twin.compensation.programs.execute import Execution, execute_program
 from twin.compensation.programs.prepared import Options
-from twin.compensation.programs.words import WordSpace
 from twin.controls.offsets import ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
@@ -129,17 +128,13 @@ class Maker:
             return np.array(self.part.zero)
         if self.part.zero == "table":
             return np.zeros(3)
-        setup = self.options.setup
-        if setup.offsets is not None:
+        if len(run.zeros_mm) != 1:
+            places = "; ".join(", ".join(f"{value:.3f}" for value in place) for place in run.zeros_mm[:3])
             raise self.part.refused(
-                ("zero",),
-                "the program's zero is not one place: it selects work offsets from a table",
-                "zero: table, or its place in the work frame, mm",
-                self.part.zero,
-            )
-        space = WordSpace(self.machine, setup, float(run.lengths_mm[0]))
-        words = np.zeros((1, len(self.machine.names)))
-        return np.array(space.nominal.forward(space.commands(words, np.array([self.options.tcp]))).point_mm[0])
+                ("zero",), "the program's zero is not one place: its work offsets or the tool lengths in force move it",
+                "zero: table, or its place in the work frame, mm", places,
+            )  # fmt: skip
+        return np.array(run.zeros_mm[0])
 
     def made(self, run: Execution, *, compensated: bool, zero_mm: np.ndarray, progress: Progress = silent) -> Made:
         """Return the points that an executed program makes of every feature, and how they lie on each machine."""
@@ -302,7 +297,7 @@ STEP_MM: Final = 1.0
 DEPTH_STEPS: Final = 100
 
 
-ARRAYS: Final = tuple(one.name for one in fields(Execution) if one.name not in ("left_out", "unknown"))
+ARRAYS: Final = tuple(one.name for one in fields(Execution) if one.name not in ("left_out", "unknown", "zeros_mm"))
 
 
 def taken(run: Execution, rows: np.ndarray) -> Execution:
