@@ -354,7 +354,7 @@ tolerances:
 
 @pytest.mark.parametrize(("drill", "mill"), [(150.0, 95.0), (120.0, 120.0)], ids=["two lengths", "one length"])
 def test_a_bored_hole_is_the_second_tools_whatever_drilled_it(tmp_path: Path, drill: float, mill: float) -> None:
-    """The part's zero is the program's, to which the control adds the length of each tool; the tools are told from each other."""
+    """The part's zero is the program's, to which the control adds the length of each tool; tools of one length are two tools."""
     (tmp_path / "part.nc").write_text(DRILLED_THEN_BORED)
     (tmp_path / "part.yaml").write_text(BORED.format(drill, mill))
     machine = twin.Machine.load("dmu50")

@@ -8,13 +8,16 @@ from typing import Annotated
 import typer
 
 from twin._common.bundled import DEFAULT
+from twin._common.families import Language
 from twin.cli.shared import options
-from twin.cli.shared.command import EXISTING, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.command import EXISTING, HTML, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, paper
 
 
 @command(
     "twin forecast part.nc --features part.yaml --tool-length 120",
     "twin forecast part.nc --features part.yaml --calibration mine.yaml --json forecast.json",
+    "twin forecast part.nc --features part.yaml -o forecast.html --scene scene.html --place --lang de",
 )
 def forecast(
     program: options.ProgramArgument,
@@ -35,33 +38,54 @@ def forecast(
     rpm: options.RpmOption = None,
     load: options.LoadOption = None,
     machines: Annotated[int, typer.Option("--machines", help="Number of machines drawn.", min=100, max=100_000)] = 1000,
+    place: Annotated[
+        bool,
+        typer.Option("--place", help="Search for a better place and orientation of the part in the working volume."),
+    ] = False,
     json_file: JsonOption = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write the page to this HTML file."), HTML
+    ] = None,
+    scene_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--scene", help="Write the machine running the program, features by their probability, to this HTML file."
+        ),
+        HTML,
+    ] = None,
+    pdf_file: PdfOption = None,
+    job: JobOption = None,
+    logo: LogoOption = None,
+    lang: LangOption = Language.en,
 ) -> CommandResult:
     """Forecast which tolerances of a part a program holds on this machine, as it is and compensated.
 
     The exit status is 3 unless every tolerance is held by one of the two with a probability of at least 95 %.
     """
+    from twin._common.bundled import find_program
     from twin.compensation.programs.prepared import Options
     from twin.nc import read_program
     from twin.part.features import PartDrawing
     from twin.part.forecast import forecast as run
 
+    page = paper(output, pdf_file, job, logo, lang, drawn=False)
     loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
     part = PartDrawing(features)
+    used = Options(
+        setup=options.setup(loaded, work_offset, work_origin, offsets, tools),
+        tool_length_mm=tool_length,
+        tcp=mode is options.Mode.tcp,
+        conditions=options.conditions(temperature, time, rpm, load),
+    )
     with progress_bar() as bar:
         found = run(
-            part,
-            read_program(program, language),
-            loaded,
-            errors,
-            Options(
-                setup=options.setup(loaded, work_offset, work_origin, offsets, tools),
-                tool_length_mm=tool_length,
-                tcp=mode is options.Mode.tcp,
-                conditions=options.conditions(temperature, time, rpm, load),
-            ),
-            machines=machines,
-            progress=bar,
+            part, read_program(program, language), loaded, errors, used, machines=machines, place=place, progress=bar
         )
+    sources = [program, features, *([] if calibration is None else [calibration])]
+    page.write(found.to_html, [path for path in sources if path.exists()])
+    if scene_file is not None:
+        from twin.reporting.scene.draw import draw_forecast  # imports meshcat, which is slow and needed only here
+
+        draw_forecast(found, part, find_program(program), loaded, errors, used, language).save(scene_file)
     return CommandResult(found.to_text(), found.to_dict, met=found.met)
