@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,13 +16,17 @@ from scipy.optimize import linprog, minimize
 from scipy.stats import ks_2samp
 
 import twin
-from tests.truth.machine import TruthMachine
+from tests.cli.commands import status
+from tests.reporting.test_translation import left_in_english
+from tests.truth.machine import RANGES, TruthMachine
 from twin.compensation.programs.prepared import Options
 from twin.nc import read_program
+from twin.numerics.covariance import Covariance
 from twin.part.contact import contacts
 from twin.part.features import PartDrawing, PlaneFeature, ToolShape
-from twin.part.forecast import Conformity, Judge, PartForecast, forecast
-from twin.part.made import Maker
+from twin.part.forecast import Conformity, ForecastTolerance, Judge, PartForecast, forecast
+from twin.part.improvements import PlaceSearch
+from twin.part.made import Draw, Maker
 
 LENGTH = 120.0
 ZERO = np.array([250.0, 225.0, -280.0])
@@ -391,6 +397,112 @@ def test_a_zero_that_moves_with_the_tool_is_refused(tmp_path: Path) -> None:
             machine,
             twin.Calibration.default(machine),
         )
+
+
+def test_a_better_place_is_better_when_it_is_cut_there(
+    made: tuple[PartForecast, TruthMachine, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The machine in numpy cuts the same program at the place that the search returns, within its axis ranges."""
+    _, truth, features = made
+    machine = twin.Machine.load("dmu50")
+    part, calibration = PartDrawing(features), twin.Calibration.default(machine)
+    program = read_program(features.with_name("part.nc"))
+    found = forecast(part, program, machine, calibration, Options(tool_length_mm=LENGTH), place=True).better_place
+    assert found is not None and found.turn_deg == 0.0
+    here = position_of(truth), flatness_of(truth)
+    monkeypatch.setattr(sys.modules[__name__], "ZERO", ZERO + found.shift_mm)
+    for tip in (*face(), *hemisphere()):
+        assert all(RANGES[axis][0] <= q <= RANGES[axis][1] for axis, q in zip("XYZ", tip + ZERO, strict=True))
+    gains = {one.title.split()[0]: one for one in found.gains}
+    assert (gains["position"].here_um, gains["flatness"].here_um) == pytest.approx(here, rel=0.03)
+    there = position_of(truth), flatness_of(truth)
+    assert (gains["position"].there_um, gains["flatness"].there_um) == pytest.approx(there, rel=0.05, abs=0.1)
+    assert there[0] < 0.7 * here[0]
+
+
+def test_a_turned_part_is_cut_by_the_turned_axis(made: tuple[PartForecast, TruthMachine, Path]) -> None:
+    """Part and C turned by 90°: the holes of the machine in numpy, seen in the turned part, lie where the search says."""
+    _, truth, features = made
+    machine = twin.Machine.load("dmu50")
+    part, calibration = PartDrawing(features), twin.Calibration.default(machine)
+    maker = Maker(part, machine, calibration, Options(tool_length_mm=LENGTH), (100, 5))
+    run = maker.run(*read_program(features.with_name("part.nc")))
+    search = PlaceSearch(
+        maker, Judge(part).values_um, maker.made(run, compensated=False, zero_mm=np.zeros(3)), run, np.zeros(3)
+    )
+    (turning,) = search._turning(90.0)
+    assert turning is not None and machine.names[turning[0]] == "C"
+    (cut,) = search._cuts["H1"]
+    many, place = search._at(cut, 90.0, turning, np.array([[5.0, -3.0, 10.0]]))
+    poses = np.array([truth.pose(q)[:3, 3] for q in many.q])
+    seen = (poses - [5.0, -3.0, 10.0]) @ place.turn
+    expected = ((seen - many.found.place_mm) * many.found.normal).sum(axis=1) * 1e3
+    none = Draw(np.zeros((0, 1)), np.zeros((6, 1)))
+    assert maker.displaced(part.features["H1"], many, place, none).deviation_um[:, 0] == pytest.approx(
+        expected, abs=0.02
+    )
+    assert np.abs(expected).max() > 5.0
+
+
+def test_measuring_an_error_again_leaves_what_the_others_cause(
+    made: tuple[PartForecast, TruthMachine, Path],
+) -> None:
+    """Two independent uncertain errors: without that of the larger one, the forecast is that of a calibration that knows it."""
+    _, _, features = made
+    machine = twin.Machine.load("dmu50")
+    exact = twin.Calibration.default(machine)
+    names, sizes = ("E_C0Y", "E_B0Z", "E_A0Z"), np.diag([300.0, 60.0, 40.0]) ** 2
+    part, program = PartDrawing(features), read_program(features.with_name("part.nc"))
+    part.tolerances = tuple(one for one in part.tolerances if one.kind == "position")
+
+    def row(count: int) -> ForecastTolerance:
+        known = replace(
+            exact,
+            joint=Covariance(names[:count] if count == 3 else names[1:], sizes if count == 3 else sizes[1:, 1:]),
+        )
+        return forecast(part, program, machine, known, Options(tool_length_mm=LENGTH)).tolerances[0]
+
+    part.tolerances = (part.tolerances[0].model_copy(update={"zone": 0.01}),)
+    found, left = row(3), row(2)
+    assert found.remeasured is not None and found.remeasured.errors[0] == "E_C0Y"
+    assert found.after is not None and left.after is not None
+    assert found.remeasured.upper_um == pytest.approx(left.after.upper_um, rel=0.15, abs=0.2)
+    assert found.remeasured.upper_um < 0.5 * found.after.upper_um
+
+
+def test_the_page_is_for_three_readers_in_two_languages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One row a tolerance with its probability in words, what to do, which blocks; and what is not contained, on every printed page."""
+    (tmp_path / "part.nc").write_text(DRILLED_THEN_BORED)
+    (tmp_path / "part.yaml").write_text(BORED.format(150, 95))
+    page, scene = tmp_path / "page.html", tmp_path / "scene.html"
+    command = ("forecast", tmp_path / "part.nc", "--features", tmp_path / "part.yaml")
+    assert status(*command, "-o", page, "--scene", scene) == 3
+    text = page.read_text()
+    for words in (
+        "open: the value is within the zone, its uncertainty is not known",
+        "give the calibration its uncertainty",
+        "<td>H<td>2<td>11 – 16",
+        "Not contained: deflection",
+    ):
+        assert words in text
+    assert "@top-center" in text and "<circle" in text
+    assert "feature not held" in scene.read_text()
+    assert left_in_english(tmp_path, capsys, *command, to="-o") == set()
+
+
+@pytest.mark.parametrize(
+    ("probability", "words"),
+    [
+        (0.999, "held, practically certain (>99 %)"),
+        (0.96, "held, very likely (96 %)"),
+        (0.6, "open, rather held (60 %)"),
+        (0.2, "open, rather not held (20 %)"),
+        (0.03, "not held, very likely (3 %)"),
+        (0.0, "not held, practically certain (<1 %)"),
+    ],
+)
+def test_a_probability_is_said_in_words(probability: float, words: str) -> None:
+    assert Conformity(5.0, 8.0, probability).words(10.0) == words
 
 
 @pytest.mark.slow

@@ -85,7 +85,17 @@ def forecast(
     sources = [program, features, *([] if calibration is None else [calibration])]
     page.write(found.to_html, [path for path in sources if path.exists()])
     if scene_file is not None:
-        from twin.reporting.scene.draw import draw_forecast  # imports meshcat, which is slow and needed only here
+        from twin.reporting.scene.draw import draw_program  # imports meshcat, which is slow and needed only here
 
-        draw_forecast(found, part, find_program(program), loaded, errors, used, language).save(scene_file)
+        draw_program(
+            find_program(program),
+            loaded,
+            errors,
+            tool_length_mm=tool_length,
+            tcp=used.tcp,
+            setup=part.with_tools(used.setup),
+            conditions=used.conditions,
+            language=language,
+            features=found.in_work_frame(),
+        ).save(scene_file)
     return CommandResult(found.to_text(), found.to_dict, met=found.met)

@@ -202,7 +202,7 @@ class ForecastTolerance:
         rows = []
         for what, found in ((Message("as programmed"), self.before), (Message("compensated"), self.after)):
             if found is not None:
-                rows.append(f"  {say(what):<14}{say(_figures(found, self.zone_um))}: {say(found.words(self.zone_um))}")
+                rows.append(f"  {say(what):<17} {say(_figures(found, self.zone_um))}: {say(found.words(self.zone_um))}")
         return rows
 
 
@@ -249,14 +249,18 @@ class PartForecast(Result):
     points_mm: Mapping[str, np.ndarray] | None = None
     zero_mm: np.ndarray | None = None
 
-    def probabilities(self) -> dict[str, float]:
-        """Return the smallest probability of conformity of each feature, with the better program; NaN if unknown."""
+    def in_work_frame(self) -> list[tuple[np.ndarray, float]]:
+        """Return the points (n, 3) of each judged feature in the work frame, mm, and its smallest probability, for `twin.scene`.
+
+        The probability of conformity is that of the program as it is; NaN if unknown.
+        """
+        if self.points_mm is None or self.zero_mm is None:
+            return []
         found: dict[str, float] = {}
         for one in self.tolerances:
-            best = max([one.before.probability, *([one.after.probability] if one.after else [])])
             for name in one.tolerance.features:
-                found[name] = min(best, found.get(name, 1.0)) if best == best else np.nan
-        return found
+                found[name] = float(np.minimum(one.before.probability, found.get(name, 1.0)))
+        return [(self.points_mm[name] + self.zero_mm, p) for name, p in found.items()]
 
     @property
     def headline(self) -> Message:
@@ -341,10 +345,10 @@ class PartForecast(Result):
         for one in self.tolerances:
             lines += ["", say(one.title), *one.row()]
             if one.largest:
-                lines.append(f"  {say('without'):<14}{say(Message('{errors} less', errors=one.largest))}")
+                lines.append(f"  {say('without'):<17} {say(Message('{errors} less', errors=one.largest))}")
             if len(one.tolerance.features) > 1:
-                lines.append(f"  {say('decided by'):<14}{one.worst}")
-            lines.append(f"  {say('action'):<14}{say(one.action)}")
+                lines.append(f"  {say('decided by'):<17} {one.worst}")
+            lines.append(f"  {say('action'):<17} {say(one.action)}")
         lines += ["", *(capital(say(text)) for text in self.place_words()), ""]
         for name, tool, blocks, how, off in self.blocks():
             own = Message(", the program itself up to {size} µm away", size=off)

@@ -174,6 +174,7 @@ class PlaceSearch:
 
     def __init__(self, maker: Maker, values: Values, made: Made, run: Execution, zero_mm: np.ndarray) -> None:
         self._maker, self._values, self._run, self._zero = maker, values, run, zero_mm
+        self._every = made.cuts
         self._cuts = {name: [cut.thinned(POINTS) for cut in cuts] for name, cuts in made.cuts.items()}
         machine = maker.machine
         self._linear = list(machine.linear)
@@ -332,14 +333,14 @@ class PlaceSearch:
         maker = self._maker
         draw = Draw(maker.draw.errors[:, :COMPARED], maker.draw.setup[:, :COMPARED])
         moved = {
-            name: [self._at(cut, turn_deg, axis, place[None])[0] for cut in cuts] for name, cuts in self._cuts.items()
+            name: [self._at(cut, turn_deg, axis, place[None])[0] for cut in cuts] for name, cuts in self._every.items()
         }
         there, here = Placement(place, _about_z(turn_deg)), Placement.at(self._zero)
         gains = []
         for tolerance in maker.part.tolerances:
             before, after = (
                 np.max([*_values(maker, self._values, tolerance, cuts, at, draw).values()], axis=0)
-                for cuts, at in ((self._cuts, here), (moved, there))
+                for cuts, at in ((self._every, here), (moved, there))
             )
             zone, known = tolerance.zone * MM / UM, len(before) > 1
             low, high = np.quantile((before - after)[1:], [0.025, 0.975]) if known else (np.nan, np.nan)

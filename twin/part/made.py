@@ -13,7 +13,6 @@ from twin._common.resources import Progress, silent
 from twin._common.units import MM, UM
 from twin.compensation.programs.execute import Execution, execute_program
 from twin.compensation.programs.prepared import Options
-from twin.controls.offsets import ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc.blocks import Program
@@ -125,22 +124,11 @@ class Maker:
         self, part: PartDrawing, machine: Machine, calibration: Calibration, options: Options, draw: tuple[int, int]
     ) -> None:
         self.part, self.machine, self.calibration = part, machine, calibration
-        self.options = self._with_tools(options)
+        self.options = replace(options, setup=part.with_tools(options.setup))
         self._of_length: dict[float, tuple[Kinematics, ToolUncertainty]] = {}
         # Without uncertainty there is one machine, and no probability.
         machines, self._seed = draw
         self.machines = machines if self.kinematics(0.0)[1].parameters else 1
-
-    def _with_tools(self, options: Options) -> Options:
-        lengths = {name: tool.length for name, tool in self.part.tools.items() if tool.length is not None}
-        if not lengths or options.setup.tools is not None:
-            return options
-        if len(lengths) < len(self.part.tools):
-            missing = [i for i, name in enumerate(self.part.tools) if name not in lengths]
-            raise self.part.refused(
-                ("tools", missing[0]), "some tools have a length and some have none", "length: of all tools, mm"
-            )
-        return replace(options, setup=replace(options.setup, tools=ToolTable(self.part.path, lengths)))
 
     def kinematics(self, length: float) -> tuple[Kinematics, ToolUncertainty]:
         """Return the machine with a tool of some length, and the uncertainty of its poses."""
