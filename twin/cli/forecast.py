@@ -67,6 +67,7 @@ def forecast(
     from twin.nc import read_program
     from twin.part.features import PartDrawing
     from twin.part.forecast import forecast as run
+    from twin.part.made import with_tools
 
     page = paper(output, pdf_file, job, logo, lang, drawn=False)
     loaded = options.machine(machine)
@@ -93,7 +94,7 @@ def forecast(
             errors,
             tool_length_mm=tool_length,
             tcp=used.tcp,
-            setup=part.with_tools(used.setup),
+            setup=with_tools(part, used.setup),
             conditions=used.conditions,
             language=language,
             features=found.in_work_frame(),

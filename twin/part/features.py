@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 
@@ -17,8 +16,6 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 from twin._common.errors import InputError, closest_name
 from twin._common.units import DEG
 from twin._common.yaml_files import EntryPath, line_of, load_yaml
-from twin.compensation.programs.words import Setup
-from twin.controls.offsets import ToolTable
 
 SCHEMA: Final = "twin.part/1"
 Vector = Annotated[tuple[float, float, float], Field(description="x, y, z")]
@@ -352,18 +349,6 @@ class PartDrawing:
         self.tools = {str(shape.number): shape for shape in entry.tools}
         self.setup = entry.setup
         self._check()
-
-    def with_tools(self, setup: Setup) -> Setup:
-        """Return the set-up with the lengths of the part's tools, if they have any and the set-up has none."""
-        lengths = {name: tool.length for name, tool in self.tools.items() if tool.length is not None}
-        if not lengths or setup.tools is not None:
-            return setup
-        if len(lengths) < len(self.tools):
-            missing = [i for i, name in enumerate(self.tools) if name not in lengths]
-            raise self.refused(
-                ("tools", missing[0]), "some tools have a length and some have none", "length: of all tools, mm"
-            )
-        return replace(setup, tools=ToolTable(self.path, lengths))
 
     def refused(self, at: tuple[Any, ...], what: str, expected: str, value: object = None) -> InputError:
         """Return the error at an entry of the file."""

@@ -17,7 +17,7 @@ import numpy as np
 from twin._common.units import MM, UM
 from twin.compensation.programs.execute import Execution
 from twin.part.features import Tolerance
-from twin.part.made import Cut, Draw, Made, Maker, Placement
+from twin.part.made import Cut, Draw, Made, Maker, PartPlace
 from twin.part.zones import FeaturePoints
 
 Values = Callable[[Tolerance, Mapping[str, FeaturePoints], Mapping[str, FeaturePoints]], Mapping[str, np.ndarray]]
@@ -109,7 +109,7 @@ def remeasured(
     setup = np.diag(maker.part.setup.standard)
     columns = np.hstack([*bases, np.zeros((len(bases[0]), 6))])
     each = Draw(columns, np.hstack([np.zeros((6, columns.shape[1] - 6)), setup]))
-    place = Placement.at(zero_mm)
+    place = PartPlace.at(zero_mm)
     size = np.max([*_values(maker, values, tolerance, made.cuts, place, each, mean=False).values()], axis=0)
     ends = np.cumsum([base.shape[1] for base in bases])
     parts = [float(np.linalg.norm(part)) for part in np.split(size, ends)]
@@ -151,7 +151,7 @@ def _values(
     values: Values,
     tolerance: Tolerance,
     cuts: Mapping[str, Sequence[Cut]],
-    place: Placement,
+    place: PartPlace,
     draw: Draw,
     *,
     mean: bool = True,
@@ -308,7 +308,7 @@ class PlaceSearch:
             for cut in self._cuts[name]:
                 moved, place = self._at(cut, turn_deg, axis, places)
                 points = self._maker.displaced(feature, moved, place, none)
-                one = self._maker.displaced(feature, cut, Placement.at(self._zero), none)
+                one = self._maker.displaced(feature, cut, PartPlace.at(self._zero), none)
                 parts.append(one.with_deviation(points.deviation_um.reshape(len(places), -1).T))
             surface[name] = FeaturePoints.joined(parts)
         axes = self._maker.axes(surface)
@@ -320,14 +320,14 @@ class PlaceSearch:
 
     def _at(
         self, cut: Cut, turn_deg: float, axis: tuple[int, float] | None, places: np.ndarray
-    ) -> tuple[Cut, Placement]:
+    ) -> tuple[Cut, PartPlace]:
         """Return a cut at all places (c, 3), one after another, and these."""
         moved, matrices, _ = self._moved(cut.q, cut.length_mm, turn_deg, axis)
         q = np.tile(moved, (len(places), 1, 1))
         q[:, :, self._linear] += np.einsum("nij,cj->cni", matrices, places)
         rows = np.tile(np.arange(len(cut.q)), len(places))
         many = Cut(cut.found.part(rows), q.reshape(len(rows), -1), cut.sides[rows], cut.axis[rows], cut.length_mm)
-        return many, Placement(np.repeat(places, len(cut.q), axis=0), _about_z(turn_deg))
+        return many, PartPlace(np.repeat(places, len(cut.q), axis=0), _about_z(turn_deg))
 
     def _described(self, turn_deg: float, axis: tuple[int, float] | None, place: np.ndarray) -> BetterPlace:
         maker = self._maker
@@ -335,7 +335,7 @@ class PlaceSearch:
         moved = {
             name: [self._at(cut, turn_deg, axis, place[None])[0] for cut in cuts] for name, cuts in self._every.items()
         }
-        there, here = Placement(place, _about_z(turn_deg)), Placement.at(self._zero)
+        there, here = PartPlace(place, _about_z(turn_deg)), PartPlace.at(self._zero)
         gains = []
         for tolerance in maker.part.tolerances:
             before, after = (

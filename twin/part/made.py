@@ -13,6 +13,8 @@ from twin._common.resources import Progress, silent
 from twin._common.units import MM, UM
 from twin.compensation.programs.execute import Execution, execute_program
 from twin.compensation.programs.prepared import Options
+from twin.compensation.programs.words import Setup
+from twin.controls.offsets import ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc.blocks import Program
@@ -92,14 +94,14 @@ class Draw:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Placement:
+class PartPlace:
     """Place of the part in the work frame: that of its zero, mm, and the axes of its frame as columns (3, 3)."""
 
     zero_mm: np.ndarray
     turn: np.ndarray
 
     @classmethod
-    def at(cls, zero_mm: np.ndarray) -> Placement:
+    def at(cls, zero_mm: np.ndarray) -> PartPlace:
         """Return the place of a part that is not turned."""
         return cls(zero_mm, np.eye(3))
 
@@ -116,6 +118,19 @@ class Made:
     cuts: Mapping[str, Sequence[Cut]]
 
 
+def with_tools(part: PartDrawing, setup: Setup) -> Setup:
+    """Return a set-up with the lengths of a part's tools, if they have any and the set-up has none."""
+    lengths = {name: tool.length for name, tool in part.tools.items() if tool.length is not None}
+    if not lengths or setup.tools is not None:
+        return setup
+    if len(lengths) < len(part.tools):
+        missing = [i for i, name in enumerate(part.tools) if name not in lengths]
+        raise part.refused(
+            ("tools", missing[0]), "some tools have a length and some have none", "length: of all tools, mm"
+        )
+    return replace(setup, tools=ToolTable(part.path, lengths))
+
+
 @final
 class Maker:
     """A machine with a calibration that makes a part, for one program after another."""
@@ -124,7 +139,7 @@ class Maker:
         self, part: PartDrawing, machine: Machine, calibration: Calibration, options: Options, draw: tuple[int, int]
     ) -> None:
         self.part, self.machine, self.calibration = part, machine, calibration
-        self.options = replace(options, setup=part.with_tools(options.setup))
+        self.options = replace(options, setup=with_tools(part, options.setup))
         self._of_length: dict[float, tuple[Kinematics, ToolUncertainty]] = {}
         # Without uncertainty there is one machine, and no probability.
         machines, self._seed = draw
@@ -176,7 +191,7 @@ class Maker:
     def made(self, run: Execution, *, compensated: bool, zero_mm: np.ndarray, progress: Progress = silent) -> Made:
         """Return the points that an executed program makes of every feature, and how they lie on each machine."""
         surface, described, by_error, cuts = {}, {}, {}, {}
-        names, place = [*self.part.features], Placement.at(zero_mm)
+        names, place = [*self.part.features], PartPlace.at(zero_mm)
         for i, name in enumerate(names):
             feature = self.part.features[name]
             progress(f"{name} of the part", i / len(names))
@@ -300,7 +315,7 @@ class Maker:
         return np.asarray(near)
 
     def displaced(
-        self, feature: Surface, cut: Cut, place: Placement, draw: Draw, *, mean: bool = True
+        self, feature: Surface, cut: Cut, place: PartPlace, draw: Draw, *, mean: bool = True
     ) -> FeaturePoints:
         """Return the points of a cut on drawn machines, with the part at its place; ``mean``: with the errors of the calibrated one."""
         found, q, sides = cut.found, cut.q, cut.sides
@@ -317,7 +332,7 @@ class Maker:
         points = _points_of(feature, [cut])
         return points.with_deviation(deviation + points.motion @ draw.setup)
 
-    def _seen(self, cut: Cut, place: Placement) -> np.ndarray:
+    def _seen(self, cut: Cut, place: PartPlace) -> np.ndarray:
         """Return (n, errors) deviations along the normals, µm, by components of the error frames, µm and µrad."""
         # Along the normal: the point's displacement, and the tool's rotation by its lever (µrad·mm are nm).
         normal, lever = cut.found.normal @ place.turn.T, cut.found.lever_mm @ place.turn.T
@@ -328,7 +343,7 @@ class Maker:
         """Return the points with what each error of the calibrated machine adds to them, one column."""
         parts: dict[str, list[np.ndarray]] = {}
         for cut in cuts:
-            seen = self._seen(cut, Placement.at(np.zeros(3)))
+            seen = self._seen(cut, PartPlace.at(np.zeros(3)))
             state = state_at(self.machine, cut.q, cut.sides, self.options.conditions)
             own: dict[str, np.ndarray] = {}
             for effect in self.calibration.effects:
