@@ -536,7 +536,7 @@ def quick_position_of(truth: TruthMachine) -> float:
 
 @pytest.mark.slow
 def test_stated_and_observed_conformity_agree(tmp_path: Path) -> None:
-    """Reliability over 300 machines: each is calibrated with an error drawn from the covariance, and cut in numpy.
+    """Reliability over 300 calibrations: of each, a machine is drawn from its covariance, and cut in numpy.
 
     For zones of five sizes the calibration states a probability, and the machine holds them or does not. In five classes of stated
     probability, the observed share is the stated one: within 3 % on average over all, within 8 % in each (of 300 draws, a share has a
@@ -554,8 +554,8 @@ def test_stated_and_observed_conformity_agree(tmp_path: Path) -> None:
     rng = np.random.default_rng(300)
     stated, held = [], []
     for own, missed in zip(uncertainty.draw(rng, 300).T, uncertainty.draw(rng, 300).T, strict=True):
-        (tmp_path / "real.yaml").write_text(yaml.safe_dump(moved(entries, uncertainty.parameters, own)))
-        (tmp_path / "stated.yaml").write_text(yaml.safe_dump(moved(entries, uncertainty.parameters, own + missed)))
+        (tmp_path / "stated.yaml").write_text(yaml.safe_dump(moved(entries, uncertainty.parameters, own)))
+        (tmp_path / "real.yaml").write_text(yaml.safe_dump(moved(entries, uncertainty.parameters, own + missed)))
         truth = TruthMachine(tmp_path / "real.yaml", LENGTH)
         calibration = twin.Calibration.load(tmp_path / "stated.yaml", machine)
         maker = Maker(part, machine, calibration, Options(tool_length_mm=LENGTH), (300, 5))

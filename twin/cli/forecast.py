@@ -14,6 +14,16 @@ from twin.cli.shared.command import EXISTING, HTML, CommandResult, JsonOption, c
 from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, paper
 
 
+PageOption = Annotated[Path | None, typer.Option("--output", "-o", help="Write the page to this HTML file."), HTML]
+SceneOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--scene", help="Write the machine running the program, features by their probability, to this HTML file."
+    ),
+    HTML,
+]
+
+
 @command(
     "twin forecast part.nc --features part.yaml --tool-length 120",
     "twin forecast part.nc --features part.yaml --calibration mine.yaml --json forecast.json",
@@ -43,16 +53,8 @@ def forecast(
         typer.Option("--place", help="Search for a better place and orientation of the part in the working volume."),
     ] = False,
     json_file: JsonOption = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Write the page to this HTML file."), HTML
-    ] = None,
-    scene_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--scene", help="Write the machine running the program, features by their probability, to this HTML file."
-        ),
-        HTML,
-    ] = None,
+    output: PageOption = None,
+    scene_file: SceneOption = None,
     pdf_file: PdfOption = None,
     job: JobOption = None,
     logo: LogoOption = None,
@@ -72,7 +74,7 @@ def forecast(
     page = paper(output, pdf_file, job, logo, lang, drawn=False)
     loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
-    part = PartDrawing(features)
+    part, source = PartDrawing(features), find_program(program)
     used = Options(
         setup=options.setup(loaded, work_offset, work_origin, offsets, tools),
         tool_length_mm=tool_length,
@@ -83,13 +85,12 @@ def forecast(
         found = run(
             part, read_program(program, language), loaded, errors, used, machines=machines, place=place, progress=bar
         )
-    sources = [program, features, *([] if calibration is None else [calibration])]
-    page.write(found.to_html, [path for path in sources if path.exists()])
+    drawn = None
     if scene_file is not None:
         from twin.reporting.scene.draw import draw_program  # imports meshcat, which is slow and needed only here
 
-        draw_program(
-            find_program(program),
+        drawn = draw_program(
+            source,
             loaded,
             errors,
             tool_length_mm=tool_length,
@@ -98,5 +99,8 @@ def forecast(
             conditions=used.conditions,
             language=language,
             features=found.in_work_frame(),
-        ).save(scene_file)
+        )
+    page.write(found.to_html, [source, features, *([] if calibration is None else [calibration])])
+    if scene_file is not None and drawn is not None:
+        drawn.save(scene_file)
     return CommandResult(found.to_text(), found.to_dict, met=found.met)

@@ -166,7 +166,7 @@ class ForecastTolerance:
 
     @property
     def action(self) -> str:
-        """What to do, in words."""
+        """The action, in words."""
         if self.before.verdict == "held":
             return Message("none")
         if self.after is not None and self.after.verdict == "held":
@@ -264,7 +264,7 @@ class PartForecast(Result):
 
     @property
     def headline(self) -> Message:
-        """How many tolerances are held, in words."""
+        """Number of tolerances that are held, in words."""
         count, held, best = len(self.tolerances), self._held("before"), self._held("verdict")
         if held == count:
             return Message("The program holds all {count} tolerances as it is", count=count)

@@ -1,4 +1,4 @@
-"""What would help a part most: errors to be measured again, and another place or orientation of the part in the working volume.
+"""Improvements of a part: errors to be measured again, and another place or orientation of the part in the working volume.
 
 An error that is measured again is taken as known exactly: the machines drawn keep what is independent of it (conditional normal
 distribution). Of a moved part, the program is moved with it: its points keep their places on the part, and the axes reach them at other
@@ -60,7 +60,7 @@ class Remeasured:
 @final
 @dataclass(frozen=True)
 class PlaceGain:
-    """What another place does to one tolerance, with the program as it is.
+    """Effect of another place on one tolerance, with the program as it is.
 
     Attributes:
         title: of the tolerance.

@@ -29,7 +29,7 @@ SEED: Final = 14253
 MOST_POINTS: Final = 400
 """Points of a feature that are evaluated, spread over those that the program makes."""
 DRILLED: Final = 4
-"""How many times fewer of a drilled hole, which is a line."""
+"""Divisor of that number for a drilled hole, which is a line."""
 LARGEST_GAP: Final = np.pi
 """Angle around an axis without points, from which on a section has no centre."""
 
@@ -221,6 +221,33 @@ class Maker:
         self, name: str, run: Execution, zero_mm: np.ndarray, *, compensated: bool
     ) -> tuple[list[Cut], MadeFeature]:
         """Return the contacts with one feature."""
+        run, parts = self.touching(name, run, zero_mm, compensated=compensated)
+        total = sum(len(found) for found, *_ in parts)
+        cuts = []
+        for found, some, axis, _ in parts:
+            most = MOST_POINTS // (DRILLED if found.drilled else 1)
+            kept = found.part(_spread(found, most * len(found) // total + 1))
+            at = some[kept.sample]
+            cuts.append(Cut(kept, run.positions[at], run.sides[at], axis[kept.sample], float(run.lengths_mm[some[0]])))
+        lines = np.concatenate([run.lines[some[found.sample]] for found, some, *_ in parts])
+        described = MadeFeature(
+            sum(len(one.found) for one in cuts),
+            (int(lines.min()), int(lines.max())),
+            parts[-1][3],
+            max(float(np.abs(found.off_mm).max()) for found, *_ in parts) * MM / UM,
+            parts[0][0].drilled,
+        )
+        return cuts, described
+
+    def touching(
+        self, name: str, run: Execution, zero_mm: np.ndarray, *, compensated: bool
+    ) -> tuple[Execution, list[tuple[ToolContacts, np.ndarray, np.ndarray, str]]]:
+        """Return an execution with denser samples, and the contacts of each tool with a feature.
+
+        Each: the contacts, the samples (s,) that they count among, the tool's axis (s, 3) there, and the tool's number.
+
+        Raises `InputError`: no block makes the feature.
+        """
         feature = self.part.features[name]
         parts = []
         nearest: tuple[float, int] = (np.inf, 0)
@@ -259,23 +286,7 @@ class Maker:
                 "a surface that the program cuts, in the part's frame, and the tool that cuts it; else made: elsewhere",
             )  # fmt: skip
         # What goes around in a hole makes it, whatever tool drilled it before.
-        parts = [one for one in parts if not one[0].drilled] or parts
-        total = sum(len(found) for found, *_ in parts)
-        cuts = []
-        for found, some, axis, _ in parts:
-            most = MOST_POINTS // (DRILLED if found.drilled else 1)
-            kept = found.part(_spread(found, most * len(found) // total + 1))
-            at = some[kept.sample]
-            cuts.append(Cut(kept, run.positions[at], run.sides[at], axis[kept.sample], float(run.lengths_mm[some[0]])))
-        lines = np.concatenate([run.lines[some[found.sample]] for found, some, *_ in parts])
-        described = MadeFeature(
-            sum(len(one.found) for one in cuts),
-            (int(lines.min()), int(lines.max())),
-            parts[-1][3],
-            max(float(np.abs(found.off_mm).max()) for found, *_ in parts) * MM / UM,
-            parts[0][0].drilled,
-        )
-        return cuts, described
+        return run, [one for one in parts if not one[0].drilled] or parts
 
     def nominal(self, length: float) -> Kinematics:
         """Return the machine without errors, with a tool of some length."""
