@@ -402,6 +402,36 @@ def test_a_zero_that_moves_with_the_tool_is_refused(tmp_path: Path) -> None:
         )
 
 
+def on_the_ball() -> list[str]:
+    """Points of the hemisphere in the middle of the program's chords, with their normals, as rows of a part's file."""
+    found = []
+    for angle in np.radians([15.0, 35.0, 55.0, 75.0]):
+        for turn in np.radians(np.arange(5.0, 360.0, 10.0)):
+            n = np.array([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)])
+            found.append(", ".join(f"{v:.6f}" for v in (*(SPHERE / 2 * n + [0.0, 0.0, TOP]), *n)))
+    return found
+
+
+def test_free_form_points_of_a_sphere_have_its_profile(
+    made: tuple[PartForecast, TruthMachine, Path], tmp_path: Path
+) -> None:
+    """The sphere's profile was compared with the machine in numpy; at its points the free-form surface is the same."""
+    found, _, _ = made
+    path, features = write(tmp_path)
+    points = f"{{kind: points, points: [{', '.join(f'[{row}]' for row in on_the_ball())}], tool: 3, lines: [50, 900]}}"
+    text = re.sub(r"(?m)^  Ball: .*$", f"  Ball: {points}", features.read_text())
+    features.write_text(text)
+    machine = twin.Machine.load("dmu50")
+    arguments = machine, twin.Calibration.default(machine), Options(tool_length_mm=LENGTH)
+    free = forecast(PartDrawing(features), read_program(path), *arguments)
+    assert of(free, "profile").value_um == pytest.approx(of(found, "profile").value_um, rel=0.05)
+    assert free.features["Ball"].points == 4 * 36
+    assert free.features["Ball"].program_um < 3.0  # its chords
+    features.write_text(text.replace("kind: profile", "kind: roundness").replace(", datums: [A, H0, H2]", ""))
+    with pytest.raises(twin.InputError, match="roundness of free-form points"):
+        PartDrawing(features)
+
+
 def test_a_better_place_is_better_when_it_is_cut_there(
     made: tuple[PartForecast, TruthMachine, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

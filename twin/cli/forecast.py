@@ -13,7 +13,6 @@ from twin.cli.shared import options
 from twin.cli.shared.command import EXISTING, HTML, CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, paper
 
-
 PageOption = Annotated[Path | None, typer.Option("--output", "-o", help="Write the page to this HTML file."), HTML]
 SceneOption = Annotated[
     Path | None,

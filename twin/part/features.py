@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+from scipy.spatial import cKDTree
 
 from twin._common.errors import InputError, closest_name
 from twin._common.units import DEG
@@ -250,8 +252,49 @@ class SphereFeature(_Feature):
         return np.asarray(np.array(self.centre) + self.diameter / 2.0 * directions / length)
 
 
-Feature = Annotated[PlaneFeature | CylinderFeature | ConeFeature | SphereFeature, Field(discriminator="kind")]
-Surface = PlaneFeature | CylinderFeature | ConeFeature | SphereFeature
+@final
+class PointsFeature(_Feature):
+    """A free-form surface by points on it, each with the direction out of the material: x, y, z, nx, ny, nz."""
+
+    kind: Literal["points"]
+    points: Annotated[tuple[tuple[float, float, float, float, float, float], ...], Field(min_length=3)]
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.samples())
+
+    @cached_property
+    def _normals(self) -> np.ndarray:
+        return np.array([_unit(one[3:]) for one in self.points])
+
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (n,) the surface's point nearest to each of (n, 3), and (n,) its distance along the surface."""
+        which = self._tree.query(points)[1]
+        off = points - self.samples()[which]
+        normal = self._normals[which]
+        return which, np.linalg.norm(off - (off * normal).sum(axis=1)[:, None] * normal, axis=1)
+
+    def signed_mm(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances and normals: those of the tangent plane at the nearest point."""
+        which = self._tree.query(points)[1]
+        normal = self._normals[which]
+        return ((points - self.samples()[which]) * normal).sum(axis=1), normal
+
+    def inside(self, points: np.ndarray) -> np.ndarray:
+        """Return whether points lie beside one of the surface's."""
+        return np.asarray(super().inside(points) & (self.nearest(points)[1] <= BESIDE_MM))
+
+    def samples(self) -> np.ndarray:
+        """Return the points."""
+        return np.array(self.points)[:, :3]
+
+
+BESIDE_MM: Final = 0.5
+"""Distance along a free-form surface, up to which a contact of the tool makes one of its points."""
+Feature = Annotated[
+    PlaneFeature | CylinderFeature | ConeFeature | SphereFeature | PointsFeature, Field(discriminator="kind")
+]
+Surface = PlaneFeature | CylinderFeature | ConeFeature | SphereFeature | PointsFeature
 
 
 @final
@@ -370,6 +413,14 @@ class PartDrawing:
                 vector = getattr(feature, key, None)
                 if vector is not None and np.linalg.norm(vector) < 1e-9:
                     raise self.refused(("features", name, key), "a direction of length zero", "another", vector)
+            for i, point in enumerate(feature.points if isinstance(feature, PointsFeature) else ()):
+                if abs(np.linalg.norm(point[3:]) - 1.0) > UNIT:
+                    raise self.refused(
+                        ("features", name, "points", i),
+                        "a normal that is not of length one",
+                        "x, y, z, nx, ny, nz",
+                        point,
+                    )
         for i, tolerance in enumerate(self.tolerances):
             self._check_tolerance(i, tolerance)
 
@@ -388,6 +439,8 @@ class PartDrawing:
         kind, datums = tolerance.kind, tolerance.datums
         surfaces = [self.features[name] for name in tolerance.features]
         planes = [isinstance(one, PlaneFeature) for one in surfaces]
+        free = any(isinstance(one, PointsFeature) for one in surfaces)
+        by_points = any(isinstance(self.features[name], PointsFeature) for name in datums)
         turned = [isinstance(one, Turned) for one in surfaces]
         with_axes = all(turned) and all(isinstance(self.features[name], Turned) for name in datums)
         repeated = len(set(datums)) < len(datums) or bool(set(datums) & set(tolerance.features))
@@ -406,6 +459,8 @@ class PartDrawing:
                 "planes or axes that are so on the drawing",
             ),
             (kind == "flatness" and not all(planes), "kind", "flatness without a plane", "a plane, or profile"),
+            (free and kind != "profile", "kind", f"{kind} of free-form points", "profile"),
+            (by_points, "datums", "a datum of free-form points", "planes, holes, cylinders, cones, spheres"),
             (kind == "roundness" and any(planes), "kind", "roundness of a plane", "a hole, cylinder, cone or sphere"),
             (kind == "coaxiality" and not with_axes, "kind", "coaxiality without axes", "holes, cylinders or cones"),
             (kind in OF_FORM and bool(datums), "datums", f"{kind} has no datums", "none"),
@@ -435,3 +490,4 @@ class PartDrawing:
 
 
 DIRECTION: Final = 1e-6
+UNIT: Final = 1e-3

@@ -20,7 +20,7 @@ from twin.model.calibration import Calibration
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.part.contact import ToolContacts, contacts
-from twin.part.features import PartDrawing, PlaneFeature, Surface, ToolShape, Turned, across
+from twin.part.features import PartDrawing, PlaneFeature, PointsFeature, Surface, ToolShape, Turned, across
 from twin.part.zones import MOST_CENTRES, FeaturePoints
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import ToolUncertainty, errors_in, state_at
@@ -256,7 +256,8 @@ class Maker:
         within_reach = self._near(feature, (run.reached_mm if compensated else run.meant_mm) - zero_mm)
         if np.any(chosen & within_reach):
             run = part_of(run, within_reach)
-        run = finely(run, self._chosen(name, run), STEP_MM if depth is None else min(STEP_MM, depth / DEPTH_STEPS))
+        step = FREE_STEP_MM if isinstance(feature, PointsFeature) else STEP_MM
+        run = finely(run, self._chosen(name, run), step if depth is None else min(step, depth / DEPTH_STEPS))
         for number, tool, rows in self._samples(name, run):
             length = float(run.lengths_mm[rows[0]])
             meant = self.kinematics(length)[0] if compensated else self.nominal(length)
@@ -370,13 +371,15 @@ def _points_of(feature: Surface, cuts: Sequence[Cut]) -> FeaturePoints:
     """Return the points of a feature without deviations."""
     place, normal = (np.concatenate([getattr(cut.found, key) for cut in cuts]) for key in ("place_mm", "normal"))
     drilled = cuts[0].found.drilled
-    sized = not (drilled or isinstance(feature, PlaneFeature))
+    sized = not (drilled or isinstance(feature, PlaneFeature | PointsFeature))
     return FeaturePoints(place, normal, np.zeros((len(place), 1)), sized, drilled)
 
 
 ROWS: Final = 100_000
 STEP_MM: Final = 1.0
 """Largest distance of two samples of the tool's way along a straight block."""
+FREE_STEP_MM: Final = 0.1
+"""The same at points of a free-form surface."""
 DEPTH_STEPS: Final = 100
 
 
