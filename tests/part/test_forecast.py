@@ -371,21 +371,40 @@ def test_a_bored_hole_is_the_second_tools_whatever_drilled_it(tmp_path: Path, dr
     found = forecast(part, program, machine, twin.Calibration.default(machine))
     assert not found.features["H"].drilled
     assert (found.features["H"].tool, found.features["H"].lines) == ("2", (11, 16))
-    truth = TruthMachine(machine.path.parent / "dmu50.calibration.yaml", mill)
+    worst = np.linalg.norm(bored_centres_um(mill), axis=1).max()
+    assert found.tolerances[0].before.value_um == pytest.approx(2.0 * worst, rel=0.02)
+
+
+def bored_centres_um(mill: float) -> np.ndarray:
+    """Return the centres (3, 2) of the bore at its three depths, from its nominal axis."""
+    truth = TruthMachine(twin.Machine.load("dmu50").path.parent / "dmu50.calibration.yaml", mill)
     turn = np.radians(np.arange(0.0, 360.0, 5.0))
     way = np.column_stack([np.cos(turn), np.sin(turn)])
-    worst = 0.0
+    found = []
     for z in (-245.0, -250.0, -255.0):
         at = np.column_stack([2.5 * way + [250.0, 225.0], np.full(len(turn), z + mill), np.zeros((len(turn), 2))])
         edge = np.array([truth.pose(q)[:2, 3] for q in at]) + 5.0 * way
-        centre = (
-            2.0
-            * np.linalg.lstsq(np.column_stack([way, np.ones(len(way))]), np.linalg.norm(edge, axis=1), rcond=None)[0][
-                :2
-            ]
-        )
-        worst = max(worst, float(np.linalg.norm(centre)) * 1e3)
-    assert found.tolerances[0].before.value_um == pytest.approx(worst, rel=0.02)
+        columns = np.column_stack([way, np.ones(len(way))])
+        found.append(np.linalg.lstsq(columns, np.linalg.norm(edge, axis=1), rcond=None)[0][:2] * 1e3)
+    return np.array(found)
+
+
+def test_a_warm_part_shrinks_towards_its_zero(tmp_path: Path) -> None:
+    """At 25 °C, 12 µm/(m·K): the bore 250, 225 mm from the zero lies 15 and 13.5 µm nearer to it at 20 °C."""
+    (tmp_path / "part.nc").write_text(DRILLED_THEN_BORED)
+    warm = "temperature: {degC: 25, u_K: 0, expansion_um_m_K: 12}\nfeatures:"
+    (tmp_path / "part.yaml").write_text(BORED.format(150, 95).replace("features:", warm))
+    machine = twin.Machine.load("dmu50")
+    arguments = read_program(tmp_path / "part.nc"), machine, twin.Calibration.default(machine)
+    row = forecast(PartDrawing(tmp_path / "part.yaml"), *arguments).tolerances[0]
+    expected = 2.0 * np.linalg.norm(bored_centres_um(95.0) - [15.0, 13.5], axis=1).max()
+    assert row.before.value_um == pytest.approx(expected, rel=0.02)
+    assert row.after is not None and row.after.value_um == pytest.approx(2.0 * np.hypot(15.0, 13.5), rel=0.05)
+    (tmp_path / "part.yaml").write_text(
+        BORED.format(150, 95).replace("features:", "temperature: {degC: 25}\nfeatures:")
+    )
+    with pytest.raises(twin.InputError, match="without a coefficient of expansion"):
+        PartDrawing(tmp_path / "part.yaml")
 
 
 def test_a_zero_that_moves_with_the_tool_is_refused(tmp_path: Path) -> None:
@@ -470,7 +489,7 @@ def test_a_turned_part_is_cut_by_the_turned_axis(made: tuple[PartForecast, Truth
     poses = np.array([truth.pose(q)[:3, 3] for q in many.q])
     seen = (poses - [5.0, -3.0, 10.0]) @ place.turn
     expected = ((seen - many.found.place_mm) * many.found.normal).sum(axis=1) * 1e3
-    none = Draw(np.zeros((0, 1)), np.zeros((6, 1)))
+    none = Draw.none()
     assert maker.displaced(part.features["H1"], many, place, none).deviation_um[:, 0] == pytest.approx(
         expected, abs=0.02
     )

@@ -36,6 +36,7 @@ LOCATED: Final = ("position", "coaxiality")
 ORIENTED: Final = ("perpendicularity", "parallelism", "angularity")
 OF_FORM: Final = ("flatness", "roundness")
 MOST_DATUMS: Final = 3
+REFERENCE_DEGC: Final = 20.0
 
 
 class _Entry(BaseModel):
@@ -336,6 +337,23 @@ class SetUpUncertainty(_Entry):
         return np.array([self.x_um, self.y_um, self.z_um, *(1e-3 * v for v in (self.a_urad, self.b_urad, self.c_urad))])
 
 
+@final
+class PartTemperature(_Entry):
+    """Temperature of the part while it is cut, with its standard uncertainty, and its coefficient of thermal expansion.
+
+    The drawing holds at 20 °C (ISO 1). The part shrinks towards its zero.
+    """
+
+    degC: Annotated[float, Field(gt=-50.0, lt=200.0)] = REFERENCE_DEGC
+    u_K: Annotated[float, Field(ge=0.0, lt=50.0)] = 0.0
+    expansion_um_m_K: Annotated[float, Field(ge=0.0, lt=100.0)] = 0.0
+
+    @property
+    def mean_K(self) -> float:
+        """Temperature above that of the drawing."""
+        return self.degC - REFERENCE_DEGC
+
+
 class _PartFile(_Entry):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True)
 
@@ -347,6 +365,7 @@ class _PartFile(_Entry):
     touch_mm: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
     association: Literal["least-squares", "minimum-zone"] = "minimum-zone"
     setup: SetUpUncertainty = SetUpUncertainty()
+    temperature: PartTemperature = PartTemperature()
     features: Mapping[str, Feature]
     tolerances: tuple[Tolerance, ...] = Field(min_length=1)
     _lines: dict[EntryPath, int] = PrivateAttr(default_factory=dict)
@@ -365,6 +384,7 @@ class PartDrawing:
         touch_mm: distance from a nominal surface up to which a tool touches it.
         association: of form: least squares or minimum zone.
         setup: uncertainty of the part's place, for features that are made elsewhere.
+        temperature: of the part while it is cut.
 
     Raises:
         InputError: with file, line and value.
@@ -390,7 +410,7 @@ class PartDrawing:
         self.features: dict[str, Surface] = dict(entry.features)
         self.tolerances, self.association, self.touch_mm = entry.tolerances, entry.association, entry.touch_mm
         self.tools = {str(shape.number): shape for shape in entry.tools}
-        self.setup = entry.setup
+        self.setup, self.temperature = entry.setup, entry.temperature
         self._check()
 
     def refused(self, at: tuple[Any, ...], what: str, expected: str, value: object = None) -> InputError:
@@ -398,6 +418,12 @@ class PartDrawing:
         return InputError(what, expected=expected, file=self.path, line=line_of(at, self._lines), value=value)
 
     def _check(self) -> None:
+        if not self.temperature.expansion_um_m_K and self.temperature != PartTemperature():
+            raise self.refused(
+                ("temperature",),
+                "a temperature without a coefficient of expansion",
+                "expansion_um_m_K: steel 11.5, aluminium 23",
+            )
         for i, shape in enumerate(self.tools.values()):
             if shape.corner_radius > shape.radius + 1e-9:
                 raise self.refused(
@@ -405,24 +431,27 @@ class PartDrawing:
                     f"at most half of its diameter, {shape.radius:g}", shape.corner_radius,
                 )  # fmt: skip
         for name, feature in self.features.items():
-            if feature.tool is not None and str(feature.tool) not in self.tools:
-                raise self.refused(
-                    ("features", name, "tool"), "no such tool", f"one of {', '.join(self.tools)}", feature.tool
-                )
-            for key in ("normal", "direction"):
-                vector = getattr(feature, key, None)
-                if vector is not None and np.linalg.norm(vector) < 1e-9:
-                    raise self.refused(("features", name, key), "a direction of length zero", "another", vector)
-            for i, point in enumerate(feature.points if isinstance(feature, PointsFeature) else ()):
-                if abs(np.linalg.norm(point[3:]) - 1.0) > UNIT:
-                    raise self.refused(
-                        ("features", name, "points", i),
-                        "a normal that is not of length one",
-                        "x, y, z, nx, ny, nz",
-                        point,
-                    )
+            self._check_feature(name, feature)
         for i, tolerance in enumerate(self.tolerances):
             self._check_tolerance(i, tolerance)
+
+    def _check_feature(self, name: str, feature: Surface) -> None:
+        if feature.tool is not None and str(feature.tool) not in self.tools:
+            raise self.refused(
+                ("features", name, "tool"), "no such tool", f"one of {', '.join(self.tools)}", feature.tool
+            )
+        for key in ("normal", "direction"):
+            vector = getattr(feature, key, None)
+            if vector is not None and np.linalg.norm(vector) < 1e-9:
+                raise self.refused(("features", name, key), "a direction of length zero", "another", vector)
+        for i, point in enumerate(feature.points if isinstance(feature, PointsFeature) else ()):
+            if abs(np.linalg.norm(point[3:]) - 1.0) > UNIT:
+                raise self.refused(
+                    ("features", name, "points", i),
+                    "a normal that is not of length one",
+                    "x, y, z, nx, ny, nz",
+                    point,
+                )
 
     def _check_tolerance(self, i: int, tolerance: Tolerance) -> None:
         for key, names in (("of", tolerance.features), ("datums", tolerance.datums)):

@@ -18,7 +18,7 @@ from twin.display.results import Result
 from twin.display.sheet import Sheet
 from twin.part.features import Tolerance
 from twin.part.improvements import CERTAIN, SETUP, BetterPlace, Remeasured
-from twin.part.made import MadeFeature
+from twin.part.made import TEMPERATURE, MadeFeature
 
 SCHEMA: Final = "twin.forecast/1"
 CONFORMS, FAILS = CERTAIN, 0.05
@@ -30,6 +30,10 @@ SMALLEST_SHARE: Final = 0.02
 """Share of a value below which an error's part in it is not printed."""
 COLOURS: Final = {"held": "#009e73", "open": "#e69f00", "exceeded": "#d55e00"}
 PALE: Final = {"held": "#e8f3ea", "open": "#fdf2df", "exceeded": "#fbe4de"}
+UNCERTAIN: Final = {
+    SETUP: Message("the part's place on the table"),
+    TEMPERATURE: Message("temperature of the part"),
+}
 KINDS: Final = {
     str(name): name
     for name in (
@@ -158,7 +162,7 @@ class ForecastTolerance:
         return joined(
             ", ",
             [
-                Message("{name} {size} µm", name=name, size=Number(f"{value:.1f}"))
+                Message("{name} {size} µm", name=UNCERTAIN.get(name, name), size=Number(f"{value:.1f}"))
                 for name, value in self.by_error[:3]
                 if value > SMALLEST_SHARE * self.before.value_um
             ],
@@ -175,9 +179,7 @@ class ForecastTolerance:
         if self.after is not None and self.after.value_um < self.before.value_um:
             said.append(Message("run the compensated program"))
         if self.remeasured is not None:
-            errors = [
-                Message("the part's place on the table") if one == SETUP else one for one in self.remeasured.errors
-            ]
+            errors = [UNCERTAIN.get(one, one) for one in self.remeasured.errors]
             said.append(
                 Message(
                     "measure {errors} again: known exactly, up to {upper} µm (95 %), {share} % held",

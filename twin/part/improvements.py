@@ -17,7 +17,7 @@ import numpy as np
 from twin._common.units import MM, UM
 from twin.compensation.programs.execute import Execution
 from twin.part.features import Tolerance
-from twin.part.made import Cut, Draw, Made, Maker, PartPlace
+from twin.part.made import TEMPERATURE, Cut, Draw, Made, Maker, PartPlace
 from twin.part.zones import FeaturePoints
 
 Values = Callable[[Tolerance, Mapping[str, FeaturePoints], Mapping[str, FeaturePoints]], Mapping[str, np.ndarray]]
@@ -106,12 +106,15 @@ def remeasured(
         return None
     names, factors = [*groups], [*groups.values()]
     bases = [np.linalg.svd(factor, full_matrices=False)[2][: np.linalg.matrix_rank(factor)].T for factor in factors]
-    setup = np.diag(maker.part.setup.standard)
-    columns = np.hstack([*bases, np.zeros((len(bases[0]), 6))])
-    each = Draw(columns, np.hstack([np.zeros((6, columns.shape[1] - 6)), setup]))
+    setup, count = np.diag(maker.part.setup.standard), sum(base.shape[1] for base in bases)
+    each = Draw(
+        np.hstack([*bases, np.zeros((len(bases[0]), 7))]),
+        np.hstack([np.zeros((6, count)), setup, np.zeros((6, 1))]),
+        np.append(np.zeros(count + 6), maker.part.temperature.u_K),
+    )
     place = PartPlace.at(zero_mm)
     size = np.max([*_values(maker, values, tolerance, made.cuts, place, each, mean=False).values()], axis=0)
-    ends = np.cumsum([base.shape[1] for base in bases])
+    ends = np.cumsum([*(base.shape[1] for base in bases), 6])
     parts = [float(np.linalg.norm(part)) for part in np.split(size, ends)]
     order = np.argsort(parts)[::-1]
     zone, chosen = tolerance.zone * MM / UM, []
@@ -119,8 +122,8 @@ def remeasured(
     for i in order[:AT_MOST]:
         if not parts[i] > 0.0:
             break
-        chosen.append((*names, SETUP)[i])
-        draw = _without(maker.draw, [groups[name] for name in chosen if name != SETUP], setup=SETUP not in chosen)
+        chosen.append((*names, SETUP, TEMPERATURE)[i])
+        draw = _without(maker.draw, groups, chosen)
         left = np.max([*_values(maker, values, tolerance, made.cuts, place, draw).values()], axis=0)[1:]
         found = Remeasured(tuple(chosen), float(np.quantile(left, CERTAIN)), float(np.mean(left <= zone)))
         if found.probability >= CERTAIN:
@@ -137,13 +140,14 @@ def _groups(maker: Maker) -> dict[str, np.ndarray]:
     return {name: uncertainty.factor[some] for name, some in rows.items()}
 
 
-def _without(draw: Draw, factors: Sequence[np.ndarray], *, setup: bool) -> Draw:
-    """Return the machines with the parameters of some rows of the factor at their values; ``setup``: whether it still varies."""
-    errors = draw.errors
+def _without(draw: Draw, groups: Mapping[str, np.ndarray], known: Sequence[str]) -> Draw:
+    """Return the machines with some errors, the set-up or the temperature at their values."""
+    errors, factors = draw.errors, [groups[name] for name in known if name in groups]
     if factors:
         rows = np.concatenate(factors)
         errors = errors - np.linalg.pinv(rows) @ (rows @ errors)
-    return Draw(errors, draw.setup if setup else np.zeros_like(draw.setup))
+    setup, warmer = draw.setup * (SETUP not in known), draw.warmer_K * (TEMPERATURE not in known)
+    return Draw(errors, setup, warmer)
 
 
 def _values(
@@ -298,7 +302,7 @@ class PlaceSearch:
 
     def _scores(self, turn_deg: float, axis: tuple[int, float] | None, places: np.ndarray) -> np.ndarray:
         """Return (c,) the largest value of a tolerance at places (c, 3), as a share of its zone, on the calibrated machine."""
-        surface, none = {}, Draw(np.zeros((0, 1)), np.zeros((6, 1)))
+        surface, none = {}, Draw.none()
         features = self._maker.part.features
         for name, feature in features.items():
             if name not in self._cuts:
@@ -331,7 +335,7 @@ class PlaceSearch:
 
     def _described(self, turn_deg: float, axis: tuple[int, float] | None, place: np.ndarray) -> BetterPlace:
         maker = self._maker
-        draw = Draw(maker.draw.errors[:, :COMPARED], maker.draw.setup[:, :COMPARED])
+        draw = maker.draw.first(COMPARED)
         moved = {
             name: [self._at(cut, turn_deg, axis, place[None])[0] for cut in cuts] for name, cuts in self._every.items()
         }

@@ -26,6 +26,7 @@ from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import ToolUncertainty, errors_in, state_at
 
 SEED: Final = 14253
+TEMPERATURE: Final = "temperature of the part"
 MOST_POINTS: Final = 400
 """Points of a feature that are evaluated, spread over those that the program makes."""
 DRILLED: Final = 4
@@ -86,10 +87,21 @@ class Draw:
     Attributes:
         errors: (r, machines) standard normal numbers, of which the calibration's covariance makes errors.
         setup: (6, machines) shift (µm) and rotation (mrad) of the part in its set-up.
+        warmer_K: (machines,) temperature of the part above that of its file.
     """
 
     errors: np.ndarray
     setup: np.ndarray
+    warmer_K: np.ndarray
+
+    @classmethod
+    def none(cls) -> Draw:
+        """Return the calibrated machine alone."""
+        return cls(np.zeros((0, 1)), np.zeros((6, 1)), np.zeros(1))
+
+    def first(self, count: int) -> Draw:
+        """Return the first of the machines."""
+        return Draw(self.errors[:, :count], self.setup[:, :count], self.warmer_K[:count])
 
 
 @final
@@ -158,8 +170,9 @@ class Maker:
         width = len(self.kinematics(0.0)[1].parameters)
         errors = np.random.default_rng(self._seed).standard_normal((width, self.machines))
         setup = np.random.default_rng([self._seed, 1]).standard_normal((6, self.machines))
-        errors[:, 0] = setup[:, 0] = 0.0
-        return Draw(errors, setup * self.part.setup.standard[:, None])
+        warmer = np.random.default_rng([self._seed, 2]).standard_normal(self.machines)
+        errors[:, 0] = setup[:, 0] = warmer[0] = 0.0
+        return Draw(errors, setup * self.part.setup.standard[:, None], warmer * self.part.temperature.u_K)
 
     def run(self, read: Program, dialect: Dialect) -> Execution:
         """Execute a program."""
@@ -342,7 +355,15 @@ class Maker:
             root = np.einsum("ne,ner->nr", self._seen(cut, place)[:, components], spread)
             deviation += root @ draw.errors
         points = _points_of(feature, [cut])
-        return points.with_deviation(deviation + points.motion @ draw.setup)
+        warmer = draw.warmer_K + (self.part.temperature.mean_K if mean else 0.0)
+        return points.with_deviation(deviation + points.motion @ draw.setup + self._growth(points)[:, None] * warmer)
+
+    def _growth(self, points: FeaturePoints) -> np.ndarray:
+        """Return (n,) deviations at the drawing's temperature, µm per kelvin that the part was warmer when it was cut."""
+        # mm of the part by its coefficient, µm/(m·K), are nm.
+        return np.asarray(
+            -1e-3 * self.part.temperature.expansion_um_m_K * (points.place_mm * points.normal).sum(axis=1)
+        )
 
     def _seen(self, cut: Cut, place: PartPlace) -> np.ndarray:
         """Return (n, errors) deviations along the normals, µm, by components of the error frames, µm and µrad."""
@@ -364,6 +385,8 @@ class Maker:
             for key, value in own.items():
                 parts.setdefault(key, []).append(value)
         points = _points_of(feature, cuts)
+        if self.part.temperature.mean_K:
+            parts[TEMPERATURE] = [self._growth(points) * self.part.temperature.mean_K]
         return {key: points.with_deviation(np.concatenate(values)[:, None]) for key, values in parts.items()}
 
 
