@@ -451,6 +451,27 @@ def test_free_form_points_of_a_sphere_have_its_profile(
         PartDrawing(features)
 
 
+def test_the_profile_along_a_path_is_that_of_its_flank(tmp_path: Path) -> None:
+    """A wall along X, 5 mm right of the tool's axis: the machine in numpy leaves material where its axis is displaced along +y."""
+    (tmp_path / "part.nc").write_text("B0 C0\nG0 X200 Y225 Z-260\nG1 X300 F500\nG0 Z-200\nM30\n")
+    (tmp_path / "part.yaml").write_text(
+        re.sub("(?s)  H: .*", "", BORED.format(LENGTH, LENGTH))
+        + "  Wall: {kind: points, side: right, lines: [3, 3], tool: 2}\n"
+        + "tolerances:\n  - {kind: profile, of: Wall, zone: 0.2, datums: [A, B, C]}\n"
+    )
+    text = (tmp_path / "part.yaml").read_text()
+    (tmp_path / "part.yaml").write_text(re.sub(r", length: \S+?(?=[,}])", "", text))
+    machine = twin.Machine.load("dmu50")
+    arguments = read_program(tmp_path / "part.nc"), machine, twin.Calibration.default(machine)
+    part = PartDrawing(tmp_path / "part.yaml")
+    row = forecast(part, *arguments, Options(tool_length_mm=LENGTH)).tolerances[0]
+    truth = TruthMachine(machine.path.parent / "dmu50.calibration.yaml", LENGTH)
+    off = [truth.pose(np.array([x, 225.0, -260.0, 0.0, 0.0]))[1, 3] for x in np.linspace(200.0, 300.0, 101)]
+    assert row.before.value_um == pytest.approx(2e3 * np.abs(off).max(), rel=0.02)
+    assert row.after is not None and row.after.value_um < 3.0
+    assert part.features["Wall"].samples()[:, 1] == pytest.approx(220.0)
+
+
 def test_a_better_place_is_better_when_it_is_cut_there(
     made: tuple[PartForecast, TruthMachine, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

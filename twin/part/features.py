@@ -92,6 +92,10 @@ class _Feature(_Entry, ABC):
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Return (n,) whether points belong to the feature's extent."""
+        return self.within_box(points)
+
+    def within_box(self, points: np.ndarray) -> np.ndarray:
+        """Return (n,) whether points lie in its box; all do without one."""
         if self.within is None:
             return np.ones(len(points), dtype=bool)
         low, high = np.sort(np.array(self.within), axis=0)
@@ -255,10 +259,14 @@ class SphereFeature(_Feature):
 
 @final
 class PointsFeature(_Feature):
-    """A free-form surface by points on it, each with the direction out of the material: x, y, z, nx, ny, nz."""
+    """A free-form surface by points on it, each with the direction out of the material: x, y, z, nx, ny, nz.
+
+    Without points it is what the program means to cut between two lines, at a side of the tool: left or right of its way, or below.
+    """
 
     kind: Literal["points"]
-    points: Annotated[tuple[tuple[float, float, float, float, float, float], ...], Field(min_length=3)]
+    points: tuple[tuple[float, float, float, float, float, float], ...] = ()
+    side: Literal["left", "right", "below"] | None = None
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -422,7 +430,7 @@ class PartDrawing:
             raise self.refused(
                 ("temperature",),
                 "a temperature without a coefficient of expansion",
-                "expansion_um_m_K: steel 11.5, aluminium 23",
+                "expansion_um_m_K: 11.5, aluminium 23.8",
             )
         for i, shape in enumerate(self.tools.values()):
             if shape.corner_radius > shape.radius + 1e-9:
@@ -444,7 +452,15 @@ class PartDrawing:
             vector = getattr(feature, key, None)
             if vector is not None and np.linalg.norm(vector) < 1e-9:
                 raise self.refused(("features", name, key), "a direction of length zero", "another", vector)
-        for i, point in enumerate(feature.points if isinstance(feature, PointsFeature) else ()):
+        if not isinstance(feature, PointsFeature):
+            return
+        cut = feature.side is not None and feature.lines is not None and feature.made == "here"
+        if bool(feature.points) == cut or (feature.side is not None) != cut:
+            raise self.refused(
+                ("features", name), "free-form points, and where they are from",
+                "points: [[x, y, z, nx, ny, nz], …]; or side: left, right or below, with the lines of a path that cuts here",
+            )  # fmt: skip
+        for i, point in enumerate(feature.points):
             if abs(np.linalg.norm(point[3:]) - 1.0) > UNIT:
                 raise self.refused(
                     ("features", name, "points", i),

@@ -232,6 +232,7 @@ def _found(maker: Maker, read: Program, dialect: Dialect, progress: Progress, *,
     with one_blas_thread():
         run = maker.run(read, dialect)
         zero_mm = maker.zero_mm(run)
+        maker.settle(run, zero_mm)
         before = maker.made(run, compensated=False, zero_mm=zero_mm, progress=progress)
         after, why = None, ""
         try:

@@ -19,7 +19,7 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
-from twin.part.contact import ToolContacts, contacts
+from twin.part.contact import PARALLEL, ToolContacts, contacts
 from twin.part.features import PartDrawing, PlaneFeature, PointsFeature, Surface, ToolShape, Turned, across
 from twin.part.zones import MOST_CENTRES, FeaturePoints
 from twin.tool.forward import Kinematics
@@ -200,6 +200,45 @@ class Maker:
                 "zero: table, or its place in the work frame, mm", places,
             )  # fmt: skip
         return np.array(run.zeros_mm[0])
+
+    def settle(self, run: Execution, zero_mm: np.ndarray) -> None:
+        """Give the points to every feature that is what the program means to cut; ``run``: of the program as it is."""
+        for name, feature in self.part.features.items():
+            if isinstance(feature, PointsFeature) and feature.side is not None:
+                points = self._beside(name, feature, run, zero_mm).tolist()
+                self.part.features[name] = PointsFeature(**(feature.model_dump() | {"points": points}))
+
+    def _beside(self, name: str, feature: PointsFeature, run: Execution, zero_mm: np.ndarray) -> np.ndarray:
+        """Return (n, 6) points and normals of the surface at a side of the tool, where it does not turn within a step."""
+        run = finely(run, self._chosen(name, run), STEP_MM)
+        found = [np.zeros((0, 6))]
+        for _, tool, rows in self._samples(name, run):
+            poses = self.nominal(float(run.lengths_mm[rows[0]])).forward(run.positions[rows])
+            tips, axis = poses.point_mm - zero_mm, poses.axis
+            step = np.diff(tips, axis=0)
+            length = np.linalg.norm(step, axis=1)
+            way = step / np.maximum(length, 1e-12)[:, None]
+            straight = np.flatnonzero(((way[1:] * way[:-1]).sum(axis=1) > AHEAD) & (length[1:] > 0.0)) + 1
+            a, w = axis[straight], way[straight]
+            up = a - (a * w).sum(axis=1, keepdims=True) * w
+            up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-12)
+            left = np.cross(a, w)
+            left /= np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-12)
+            n = {"left": -left, "right": left, "below": up}[feature.side or "below"]
+            r = tool.corner_radius
+            point = tips[straight] + r * a - (r if feature.side == "below" else tool.radius) * n
+            # A flat tool on a slope cuts with its edge, which is not below its tip.
+            fits = (feature.side != "below") | ((a * w).sum(axis=1) ** 2 < PARALLEL**2) | (r > tool.radius - 1e-9)
+            found.append(np.hstack([point, n])[fits])
+        points = np.concatenate(found)
+        points = points[feature.within_box(points[:, :3])]
+        if len(points) < 3:
+            raise self.part.refused(
+                ("features", name),
+                "no path whose surface is known between these lines",
+                "lines of blocks that cut along a way",
+            )
+        return points[np.unique(np.linspace(0, len(points) - 1, MOST_POINTS).astype(int))]
 
     def made(self, run: Execution, *, compensated: bool, zero_mm: np.ndarray, progress: Progress = silent) -> Made:
         """Return the points that an executed program makes of every feature, and how they lie on each machine."""
@@ -401,6 +440,8 @@ def _points_of(feature: Surface, cuts: Sequence[Cut]) -> FeaturePoints:
 ROWS: Final = 100_000
 STEP_MM: Final = 1.0
 """Largest distance of two samples of the tool's way along a straight block."""
+AHEAD: Final = 0.995
+"""Cosine of the angle by which a way turns in a sample: 6°."""
 FREE_STEP_MM: Final = 0.1
 """The same at points of a free-form surface."""
 DEPTH_STEPS: Final = 100
