@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from tests.benchmarks import control_cycle, curves, diagnosis, figures, folder, growth, programs, sequences, solve
+from tests.benchmarks import control_cycle, curves, diagnosis, figures, folder, growth, part, programs, sequences, solve
 from tests.benchmarks.peers import run as peers
 
 EVERY: dict[str, Callable[[], object]] = {
@@ -20,6 +20,7 @@ EVERY: dict[str, Callable[[], object]] = {
     "figures": figures.main,
     "curves": curves.main,
     "sequences": sequences.main,
+    "part": lambda: part.main([]),
     "control_cycle": control_cycle.main,
     "peers": peers.main,
 }

@@ -174,6 +174,7 @@ def test_every_path_of_every_command_is_known() -> None:
         "extended",
         "program_file",
         "predicted",
+        "scene_file",
     }
     for command in map(commands.load, commands.COMMANDS):
         function: Callable[..., Any] = command.callback.__wrapped__

@@ -40,6 +40,8 @@ WRITTEN: Final = {
     ): "machine file and URDF are loaded from a scratch folder and compared with the answers before",
     ("machine", "keep"): "answers of which some may be missing",
     ("scene", "output"): REPORT,
+    ("forecast", "output"): REPORT,
+    ("forecast", "scene_file"): REPORT,
     ("report", "output"): REPORT,
     ("report", "dcc_file"): "its numbers are read back from the XML before it is written",
     ("evaluate", "dcc_file"): "its numbers are read back from the XML before it is written",

@@ -494,7 +494,7 @@ def test_draws_do_not_depend_on_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
         known = next((one for one in own if one[0] is tool), None)
         if known is None:
             own.append(known := (tool, np.random.default_rng(len(own))))
-        return tool._factor @ known[1].standard_normal((count, tool._factor.shape[1])).T
+        return tool.factor @ known[1].standard_normal((count, tool.factor.shape[1])).T
 
     monkeypatch.setattr(ToolUncertainty, "draw", drawn_alike)
     monkeypatch.setattr("twin.monitoring.tool.DRAWS", 60)

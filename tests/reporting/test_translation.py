@@ -193,13 +193,13 @@ def runs_of_words(text: str) -> set[str]:
 
 
 def left_in_english(
-    folder: Path, capsys: pytest.CaptureFixture[str], *arguments: object, page: bool = True
+    folder: Path, capsys: pytest.CaptureFixture[str], *arguments: object, page: bool = True, to: str = "--html"
 ) -> set[str]:
     """Run a command in both languages; return the runs of words that are the same in the printed text and in the page."""
     found = []
     for language in Language:
         html = folder / f"{language.value}.html"
-        status(*arguments, "--lang", language.value, *(["--html", html] if page else []))
+        status(*arguments, "--lang", language.value, *([to, html] if page else []))
         found.append(runs_of_words(capsys.readouterr().out + (html.read_text(encoding="utf-8") if page else "")))
     assert found[0]
     return found[0] & found[1]

@@ -13,12 +13,12 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.part.features import CylinderFeature, Surface, ToolShape, across
+from twin.part.features import CylinderFeature, PointsFeature, Surface, ToolShape, across
 
 ROUNDS: Final = 6
 """Steps from a point on the surface to the tool's contact and back; four are enough for a curved surface."""
-FLANK: Final = 1e-4
-"""Component of the normal along the tool's axis, up to which the flank touches in a line."""
+FLANK: Final = 1e-3
+"""Component of the normal along the tool's axis, up to which the flank touches in a line: a tool is not tilted back exactly."""
 FLANK_POINTS: Final = 5
 BOTTOM: Final = 1e-3
 """Sine of the angle between normal and axis, up to which a flat bottom touches: a compensated tool is not tilted back exactly."""
@@ -85,11 +85,21 @@ def contacts(feature: Surface, tool: ToolShape, tip_mm: np.ndarray, axis: np.nda
         for height in np.linspace(0.0, max(tool.reach - tool.corner_radius, 0.0), FLANK_POINTS):
             found.append(_touching(feature, rows, tip_mm, n, lever + height * axis, touch_mm))
     walls = _joined(found)
+    if isinstance(feature, PointsFeature):
+        return _nearest_of_each(feature, walls)
     if not isinstance(feature, CylinderFeature) or not feature.internal:
         return walls
     # A tool on the axis has no side of the hole to touch; one that goes around it makes the hole, whatever drilled it before.
     walls = walls.part(np.flatnonzero(feature.radial(tip_mm[walls.sample])[0] > touch_mm))
     return walls if len(walls) else _drilled(feature, tool, tip_mm, axis, touch_mm)
+
+
+def _nearest_of_each(feature: PointsFeature, found: ToolContacts) -> ToolContacts:
+    """Return the contact nearest to each point of a free-form surface: between points it is not known."""
+    which, beside = feature.nearest(found.place_mm)
+    order = np.lexsort((beside, which))
+    first = np.append(True, np.diff(which[order]) > 0) if len(order) else np.zeros(0, dtype=bool)
+    return found.part(np.sort(order[first]))
 
 
 def _drilled(

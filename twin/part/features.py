@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+from scipy.spatial import cKDTree
 
 from twin._common.errors import InputError, closest_name
 from twin._common.units import DEG
@@ -34,6 +36,7 @@ LOCATED: Final = ("position", "coaxiality")
 ORIENTED: Final = ("perpendicularity", "parallelism", "angularity")
 OF_FORM: Final = ("flatness", "roundness")
 MOST_DATUMS: Final = 3
+REFERENCE_DEGC: Final = 20.0
 
 
 class _Entry(BaseModel):
@@ -89,6 +92,10 @@ class _Feature(_Entry, ABC):
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Return (n,) whether points belong to the feature's extent."""
+        return self.within_box(points)
+
+    def within_box(self, points: np.ndarray) -> np.ndarray:
+        """Return (n,) whether points lie in its box; all do without one."""
         if self.within is None:
             return np.ones(len(points), dtype=bool)
         low, high = np.sort(np.array(self.within), axis=0)
@@ -250,8 +257,53 @@ class SphereFeature(_Feature):
         return np.asarray(np.array(self.centre) + self.diameter / 2.0 * directions / length)
 
 
-Feature = Annotated[PlaneFeature | CylinderFeature | ConeFeature | SphereFeature, Field(discriminator="kind")]
-Surface = PlaneFeature | CylinderFeature | ConeFeature | SphereFeature
+@final
+class PointsFeature(_Feature):
+    """A free-form surface by points on it, each with the direction out of the material: x, y, z, nx, ny, nz.
+
+    Without points it is what the program means to cut between two lines, at a side of the tool: left or right of its way, or below.
+    """
+
+    kind: Literal["points"]
+    points: tuple[tuple[float, float, float, float, float, float], ...] = ()
+    side: Literal["left", "right", "below"] | None = None
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.samples())
+
+    @cached_property
+    def _normals(self) -> np.ndarray:
+        return np.array([_unit(one[3:]) for one in self.points])
+
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (n,) the surface's point nearest to each of (n, 3), and (n,) its distance along the surface."""
+        which = self._tree.query(points)[1]
+        off = points - self.samples()[which]
+        normal = self._normals[which]
+        return which, np.linalg.norm(off - (off * normal).sum(axis=1)[:, None] * normal, axis=1)
+
+    def signed_mm(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances and normals: those of the tangent plane at the nearest point."""
+        which = self._tree.query(points)[1]
+        normal = self._normals[which]
+        return ((points - self.samples()[which]) * normal).sum(axis=1), normal
+
+    def inside(self, points: np.ndarray) -> np.ndarray:
+        """Return whether points lie beside one of the surface's."""
+        return np.asarray(super().inside(points) & (self.nearest(points)[1] <= BESIDE_MM))
+
+    def samples(self) -> np.ndarray:
+        """Return the points."""
+        return np.array(self.points)[:, :3]
+
+
+BESIDE_MM: Final = 0.5
+"""Distance along a free-form surface, up to which a contact of the tool makes one of its points."""
+Feature = Annotated[
+    PlaneFeature | CylinderFeature | ConeFeature | SphereFeature | PointsFeature, Field(discriminator="kind")
+]
+Surface = PlaneFeature | CylinderFeature | ConeFeature | SphereFeature | PointsFeature
 
 
 @final
@@ -293,6 +345,23 @@ class SetUpUncertainty(_Entry):
         return np.array([self.x_um, self.y_um, self.z_um, *(1e-3 * v for v in (self.a_urad, self.b_urad, self.c_urad))])
 
 
+@final
+class PartTemperature(_Entry):
+    """Temperature of the part while it is cut, with its standard uncertainty, and its coefficient of thermal expansion.
+
+    The drawing holds at 20 °C (ISO 1). The part shrinks towards its zero.
+    """
+
+    degC: Annotated[float, Field(gt=-50.0, lt=200.0)] = REFERENCE_DEGC
+    u_K: Annotated[float, Field(ge=0.0, lt=50.0)] = 0.0
+    expansion_um_m_K: Annotated[float, Field(ge=0.0, lt=100.0)] = 0.0
+
+    @property
+    def mean_K(self) -> float:
+        """Temperature above that of the drawing."""
+        return self.degC - REFERENCE_DEGC
+
+
 class _PartFile(_Entry):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True)
 
@@ -304,6 +373,7 @@ class _PartFile(_Entry):
     touch_mm: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
     association: Literal["least-squares", "minimum-zone"] = "minimum-zone"
     setup: SetUpUncertainty = SetUpUncertainty()
+    temperature: PartTemperature = PartTemperature()
     features: Mapping[str, Feature]
     tolerances: tuple[Tolerance, ...] = Field(min_length=1)
     _lines: dict[EntryPath, int] = PrivateAttr(default_factory=dict)
@@ -322,6 +392,7 @@ class PartDrawing:
         touch_mm: distance from a nominal surface up to which a tool touches it.
         association: of form: least squares or minimum zone.
         setup: uncertainty of the part's place, for features that are made elsewhere.
+        temperature: of the part while it is cut.
 
     Raises:
         InputError: with file, line and value.
@@ -347,7 +418,7 @@ class PartDrawing:
         self.features: dict[str, Surface] = dict(entry.features)
         self.tolerances, self.association, self.touch_mm = entry.tolerances, entry.association, entry.touch_mm
         self.tools = {str(shape.number): shape for shape in entry.tools}
-        self.setup = entry.setup
+        self.setup, self.temperature = entry.setup, entry.temperature
         self._check()
 
     def refused(self, at: tuple[Any, ...], what: str, expected: str, value: object = None) -> InputError:
@@ -355,6 +426,12 @@ class PartDrawing:
         return InputError(what, expected=expected, file=self.path, line=line_of(at, self._lines), value=value)
 
     def _check(self) -> None:
+        if not self.temperature.expansion_um_m_K and self.temperature != PartTemperature():
+            raise self.refused(
+                ("temperature",),
+                "a temperature without a coefficient of expansion",
+                "expansion_um_m_K: 11.5, aluminium 23.8",
+            )
         for i, shape in enumerate(self.tools.values()):
             if shape.corner_radius > shape.radius + 1e-9:
                 raise self.refused(
@@ -362,16 +439,35 @@ class PartDrawing:
                     f"at most half of its diameter, {shape.radius:g}", shape.corner_radius,
                 )  # fmt: skip
         for name, feature in self.features.items():
-            if feature.tool is not None and str(feature.tool) not in self.tools:
-                raise self.refused(
-                    ("features", name, "tool"), "no such tool", f"one of {', '.join(self.tools)}", feature.tool
-                )
-            for key in ("normal", "direction"):
-                vector = getattr(feature, key, None)
-                if vector is not None and np.linalg.norm(vector) < 1e-9:
-                    raise self.refused(("features", name, key), "a direction of length zero", "another", vector)
+            self._check_feature(name, feature)
         for i, tolerance in enumerate(self.tolerances):
             self._check_tolerance(i, tolerance)
+
+    def _check_feature(self, name: str, feature: Surface) -> None:
+        if feature.tool is not None and str(feature.tool) not in self.tools:
+            raise self.refused(
+                ("features", name, "tool"), "no such tool", f"one of {', '.join(self.tools)}", feature.tool
+            )
+        for key in ("normal", "direction"):
+            vector = getattr(feature, key, None)
+            if vector is not None and np.linalg.norm(vector) < 1e-9:
+                raise self.refused(("features", name, key), "a direction of length zero", "another", vector)
+        if not isinstance(feature, PointsFeature):
+            return
+        cut = feature.side is not None and feature.lines is not None and feature.made == "here"
+        if bool(feature.points) == cut or (feature.side is not None) != cut:
+            raise self.refused(
+                ("features", name), "free-form points, and where they are from",
+                "points: [[x, y, z, nx, ny, nz], …]; or side: left, right or below, with the lines of a path that cuts here",
+            )  # fmt: skip
+        for i, point in enumerate(feature.points):
+            if abs(np.linalg.norm(point[3:]) - 1.0) > UNIT:
+                raise self.refused(
+                    ("features", name, "points", i),
+                    "a normal that is not of length one",
+                    "x, y, z, nx, ny, nz",
+                    point,
+                )
 
     def _check_tolerance(self, i: int, tolerance: Tolerance) -> None:
         for key, names in (("of", tolerance.features), ("datums", tolerance.datums)):
@@ -388,6 +484,8 @@ class PartDrawing:
         kind, datums = tolerance.kind, tolerance.datums
         surfaces = [self.features[name] for name in tolerance.features]
         planes = [isinstance(one, PlaneFeature) for one in surfaces]
+        free = any(isinstance(one, PointsFeature) for one in surfaces)
+        by_points = any(isinstance(self.features[name], PointsFeature) for name in datums)
         turned = [isinstance(one, Turned) for one in surfaces]
         with_axes = all(turned) and all(isinstance(self.features[name], Turned) for name in datums)
         repeated = len(set(datums)) < len(datums) or bool(set(datums) & set(tolerance.features))
@@ -406,6 +504,8 @@ class PartDrawing:
                 "planes or axes that are so on the drawing",
             ),
             (kind == "flatness" and not all(planes), "kind", "flatness without a plane", "a plane, or profile"),
+            (free and kind != "profile", "kind", f"{kind} of free-form points", "profile"),
+            (by_points, "datums", "a datum of free-form points", "planes, holes, cylinders, cones, spheres"),
             (kind == "roundness" and any(planes), "kind", "roundness of a plane", "a hole, cylinder, cone or sphere"),
             (kind == "coaxiality" and not with_axes, "kind", "coaxiality without axes", "holes, cylinders or cones"),
             (kind in OF_FORM and bool(datums), "datums", f"{kind} has no datums", "none"),
@@ -435,3 +535,4 @@ class PartDrawing:
 
 
 DIRECTION: Final = 1e-6
+UNIT: Final = 1e-3

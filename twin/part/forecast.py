@@ -13,27 +13,25 @@ the calibration does not know of.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final, final
+from dataclasses import replace
+from typing import Final, final
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from twin._common.errors import InputError
-from twin._common.provenance import warning_texts
-from twin._common.records import json_form
 from twin._common.resources import Progress, one_blas_thread, silent
-from twin._common.units import MM, UM, count_with_noun
+from twin._common.units import MM, UM
 from twin.compensation.programs.compensator import Compensator
 from twin.compensation.programs.prepared import Options
-from twin.display.numbers import listed
-from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.part.features import LOCATED, ORIENTED, PartDrawing, Tolerance, Turned, across
-from twin.part.made import SEED, Made, MadeFeature, Maker, axis_points, sections
+from twin.part.forecasted import CONFORMS, Conformity, ForecastTolerance, PartForecast
+from twin.part.improvements import PlaceSearch, remeasured
+from twin.part.made import SEED, Made, Maker, axis_points, sections
 from twin.part.zones import (
     Aligned,
     FeaturePoints,
@@ -46,56 +44,6 @@ from twin.part.zones import (
 )
 
 MACHINES: Final = 1000
-CONFORMS, FAILS = 0.95, 0.05
-NOT_CONTAINED: Final = (
-    "Not contained: deflection, wear, size and run-out of the tool, clamping, cutting forces, vibration, dynamics of the control, and "
-    "errors that the calibration does not know."
-)
-
-
-@final
-@dataclass(frozen=True)
-class Conformity:
-    """A tolerance's value on the machines that the calibration allows.
-
-    Attributes:
-        value_um: on the machine as calibrated.
-        upper_um: value that 95 % of the machines do not exceed.
-        probability: share of the machines on which the tolerance is held.
-
-    ``upper_um`` and ``probability`` are NaN if the calibration gives no uncertainty.
-    """
-
-    value_um: float
-    upper_um: float
-    probability: float
-
-    @property
-    def verdict(self) -> str:
-        """``held``, ``exceeded`` or ``open``."""
-        if np.isnan(self.probability):
-            return "open"
-        return "held" if self.probability >= CONFORMS else "exceeded" if self.probability <= FAILS else "open"
-
-
-@final
-@dataclass(frozen=True)
-class ForecastTolerance:
-    """The forecast of one tolerance.
-
-    Attributes:
-        tolerance: as in the part's file.
-        before: with the program as it is.
-        after: with the compensated program; None if the program cannot be compensated.
-        by_error: what each error of the machine adds to the value before, µm: largest first.
-        worst: the feature of a pattern that decides.
-    """
-
-    tolerance: Tolerance
-    before: Conformity
-    after: Conformity | None
-    by_error: tuple[tuple[str, float], ...]
-    worst: str
 
 
 @final
@@ -217,137 +165,6 @@ def _absorbs(free: np.ndarray, parts: Sequence[FeaturePoints]) -> bool:
     return False
 
 
-SCHEMA: Final = "twin.forecast/1"
-SMALLEST_SHARE: Final = 0.02
-"""Share of a value below which an error's part in it is not printed."""
-
-
-def _in_words(found: Conformity, tolerance: Tolerance) -> str:
-    zone = tolerance.zone * MM / UM
-    text = f"{found.value_um:.1f} of {zone:g} µm"
-    if np.isnan(found.probability):
-        return f"{text}; its uncertainty is not known"
-    words = {"held": "held", "exceeded": "not held", "open": "open"}[found.verdict]
-    return f"{text}, up to {found.upper_um:.1f} µm (95 %): {words}, probability {100.0 * found.probability:.3g} %"
-
-
-def _as_json(found: Conformity) -> dict[str, Any]:
-    known = not np.isnan(found.probability)
-    return {
-        "value_um": found.value_um,
-        "upper_um": found.upper_um if known else None,
-        "probability": found.probability if known else None,
-        "verdict": found.verdict,
-    }
-
-
-@final
-@dataclass(frozen=True, eq=False, repr=False)
-class PartForecast(Result):
-    """Forecast of the tolerances of a part, for a program on a machine with the errors of a calibration.
-
-    Attributes:
-        part, program, machine: names.
-        tolerances: the forecast of each, as in the part's file.
-        features: the points of each feature that the program cuts.
-        omitted: parts of the program that could not be executed, in words.
-        compensated: why there is no compensated program, in words; empty if there is one.
-        machines: number of machines drawn.
-        warnings: of the calibration.
-        without_uncertainty: errors whose uncertainty is not known: probabilities do not contain it.
-    """
-
-    part: str
-    program: str
-    machine: str
-    tolerances: tuple[ForecastTolerance, ...]
-    features: Mapping[str, MadeFeature]
-    omitted: str
-    compensated: str
-    machines: int
-    warnings: tuple[str, ...]
-    without_uncertainty: tuple[str, ...]
-
-    def to_text(self) -> str:
-        """Return the forecast in words."""
-        lines = [
-            f"Forecast of {self.part}: {self.program} on {self.machine}"
-            + (f", {self.machines} machines drawn from the calibration's covariance" if self.machines > 1 else ""),
-            *self.warnings,
-        ]
-        if self.without_uncertainty and self.machines > 1:
-            lines.append(
-                f"without uncertainty, so that probabilities are too certain: {listed([*self.without_uncertainty], most=6)}"
-            )
-        for one in self.tolerances:
-            lines += ["", one.tolerance.title]
-            for what, found in (("as programmed", one.before), ("compensated", one.after)):
-                if found is not None:
-                    lines.append(f"  {what:<14}{_in_words(found, one.tolerance)}")
-            largest = [
-                f"{name} {value:.1f} µm"
-                for name, value in one.by_error[:3]
-                if value > SMALLEST_SHARE * one.before.value_um
-            ]
-            if largest:
-                lines.append(f"  {'without':<14}{', '.join(largest)} less")
-            if len(one.tolerance.features) > 1:
-                lines.append(f"  {'decided by':<14}{one.worst}")
-        lines.append("")
-        for name, made in self.features.items():
-            how = "where the tip of the tool goes" if made.drilled else "by the tool's shape"
-            own = f", the program itself up to {made.program_um:.1f} µm away" if made.program_um >= 0.05 else ""
-            first, last = made.lines
-            of = f"line {first}" if first == last else f"lines {first} to {last}"
-            lines.append(f"{name}: {count_with_noun(made.points, 'point')} {how}, tool {made.tool}, {of}{own}")
-        if self.omitted:
-            lines.append(f"not executed, and not part of the forecast: {self.omitted}")
-        if self.compensated:
-            lines.append(f"no compensated program: {self.compensated}")
-        return "\n".join([*lines, NOT_CONTAINED, ""])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object; unknown numbers are null."""
-        return {
-            "schema": SCHEMA,
-            "part": self.part,
-            "program": self.program,
-            "machine": self.machine,
-            "machines": self.machines,
-            "tolerances": [
-                {
-                    "title": one.tolerance.title,
-                    "kind": one.tolerance.kind,
-                    "zone_um": one.tolerance.zone * MM / UM,
-                    "before": _as_json(one.before),
-                    "after": None if one.after is None else _as_json(one.after),
-                    "worst": one.worst,
-                    "by_error_um": dict(one.by_error),
-                }
-                for one in self.tolerances
-            ],
-            "features": {name: json_form(made) for name, made in self.features.items()},
-            "without_uncertainty": list(self.without_uncertainty),
-            "omitted": self.omitted or None,
-            "not_compensated": self.compensated or None,
-            "not_contained": NOT_CONTAINED,
-            "warnings": list(self.warnings),
-        }
-
-    @property
-    def met(self) -> bool:
-        """Whether every tolerance is held by one of the programs."""
-        return all("held" in {one.before.verdict, one.after.verdict if one.after else ""} for one in self.tolerances)
-
-    @property
-    def brief(self) -> str:
-        """Number of tolerances that are held, before and after."""
-        held = sum(one.before.verdict == "held" for one in self.tolerances)
-        after = [one.after for one in self.tolerances if one.after is not None]
-        text = f"{held} of {count_with_noun(len(self.tolerances), 'tolerance')} held"
-        return f"{text}; compensated: {sum(one.verdict == 'held' for one in after)}" if after else text
-
-
 def forecast(
     part: PartDrawing,
     program: tuple[Program, Dialect],
@@ -356,7 +173,7 @@ def forecast(
     options: Options | None = None,
     *,
     machines: int = MACHINES,
-    seed: int = SEED,
+    place: bool = False,
     progress: Progress = silent,
 ) -> PartForecast:
     r"""Return the forecast of a part's tolerances.
@@ -368,7 +185,7 @@ def forecast(
         calibration: its errors, with their covariance.
         options: set-up, tool length, mode and conditions, as for `twin.compensate`.
         machines: number of machines drawn.
-        seed: of the draw.
+        place: whether to search for a better place and orientation of the part in the working volume.
         progress: called with the number of features done.
 
     Raises:
@@ -405,16 +222,17 @@ def forecast(
         >>> found.tolerances[0].after.value_um < 1.5
         True
     """
-    maker = Maker(part, machine, calibration, Options() if options is None else options, (machines, seed))
-    return _found(maker, *program, progress)
+    maker = Maker(part, machine, calibration, Options() if options is None else options, (machines, SEED))
+    return _found(maker, *program, progress, place=place)
 
 
-def _found(maker: Maker, read: Program, dialect: Dialect, progress: Progress) -> PartForecast:
+def _found(maker: Maker, read: Program, dialect: Dialect, progress: Progress, *, place: bool) -> PartForecast:
     part, machine, calibration = maker.part, maker.machine, maker.calibration
     judge = Judge(part)
     with one_blas_thread():
         run = maker.run(read, dialect)
         zero_mm = maker.zero_mm(run)
+        maker.settle(run, zero_mm)
         before = maker.made(run, compensated=False, zero_mm=zero_mm, progress=progress)
         after, why = None, ""
         try:
@@ -425,7 +243,8 @@ def _found(maker: Maker, read: Program, dialect: Dialect, progress: Progress) ->
             again = maker.run(dialect.read(compensation.text.encode("latin-1"), read.source), dialect)
             again = replace(again, lines=run.lines[cKDTree(run.meant_mm).query(again.reached_mm)[1]])
             after = maker.made(again, compensated=True, zero_mm=zero_mm)
-        rows = tuple(_forecast_of(judge, one, before, after) for one in part.tolerances)
+        rows = tuple(_forecast_of(maker, judge, one, (before, after), zero_mm) for one in part.tolerances)
+        better = PlaceSearch(maker, judge.values_um, before, run, zero_mm).best() if place else None
     unknown = maker.kinematics(float(run.lengths_mm[0]))[1].without_uncertainty
     return PartForecast(
         part=part.name,
@@ -435,22 +254,31 @@ def _found(maker: Maker, read: Program, dialect: Dialect, progress: Progress) ->
         features=before.described,
         omitted=run.omitted,
         compensated=why,
-        machines=len(maker.draws.T),
-        warnings=tuple(warning_texts(calibration.warnings)),
+        machines=maker.machines,
+        warnings=calibration.warnings,
         without_uncertainty=unknown,
+        better_place=better,
+        searched=place,
+        points_mm={name: points.place_mm for name, points in before.surface.items()},
+        zero_mm=zero_mm,
     )
 
 
-def _forecast_of(judge: Judge, tolerance: Tolerance, before: Made, after: Made | None) -> ForecastTolerance:
+def _forecast_of(
+    maker: Maker, judge: Judge, tolerance: Tolerance, made: tuple[Made, Made | None], zero_mm: np.ndarray
+) -> ForecastTolerance:
+    before, after = made
     by_feature = judge.values_um(tolerance, before.surface, before.axis)
-    worst = max(by_feature, key=lambda name: float(by_feature[name][0]))
-    return ForecastTolerance(
+    row = ForecastTolerance(
         tolerance,
         _conformity(tolerance, by_feature),
         None if after is None else _conformity(tolerance, judge.values_um(tolerance, after.surface, after.axis)),
         _by_error(judge, tolerance, before),
-        worst,
+        max(by_feature, key=lambda name: float(by_feature[name][0])),
     )
+    if row.verdict != "open":
+        return row
+    return replace(row, remeasured=remeasured(maker, judge.values_um, tolerance, after or before, zero_mm))
 
 
 def _conformity(tolerance: Tolerance, by_feature: Mapping[str, np.ndarray]) -> Conformity:
@@ -471,8 +299,7 @@ def _by_error(judge: Judge, tolerance: Tolerance, made: Made) -> tuple[tuple[str
         whole, each = points.deviation_um[:, :1], made.by_error.get(name, {})
         without = [whole - each[key].deviation_um if key in each else whole for key in errors]
         surface[name] = points.with_deviation(np.hstack([whole, *without]))
-    turned = {name: one for name, one in judge.part.features.items() if isinstance(one, Turned)}
-    axis = {name: axis_points(turned[name], surface[name]) for name in made.axis}
+    axis = {name: axis_points(judge.part.features[name], surface[name]) for name in made.axis}  # type: ignore[arg-type]
     values = np.max([*judge.values_um(tolerance, surface, axis).values()], axis=0)
     found = {key: float(values[0] - value) for key, value in zip(errors, values[1:], strict=True)}
     return tuple(sorted(found.items(), key=lambda one: -one[1]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Final, final
@@ -13,21 +13,24 @@ from twin._common.resources import Progress, silent
 from twin._common.units import MM, UM
 from twin.compensation.programs.execute import Execution, execute_program
 from twin.compensation.programs.prepared import Options
-from twin.compensation.programs.words import WordSpace
+from twin.compensation.programs.words import Setup
 from twin.controls.offsets import ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
-from twin.part.contact import ToolContacts, contacts
-from twin.part.features import PartDrawing, PlaneFeature, Surface, ToolShape, Turned, across
+from twin.part.contact import PARALLEL, ToolContacts, contacts
+from twin.part.features import PartDrawing, PlaneFeature, PointsFeature, Surface, ToolShape, Turned, across
 from twin.part.zones import MOST_CENTRES, FeaturePoints
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import ToolUncertainty, errors_in, state_at
 
 SEED: Final = 14253
+TEMPERATURE: Final = "temperature of the part"
 MOST_POINTS: Final = 400
 """Points of a feature that are evaluated, spread over those that the program makes."""
+DRILLED: Final = 4
+"""Divisor of that number for a drilled hole, which is a line."""
 LARGEST_GAP: Final = np.pi
 """Angle around an axis without points, from which on a section has no centre."""
 
@@ -54,6 +57,69 @@ class MadeFeature:
 
 @final
 @dataclass(frozen=True, eq=False)
+class Cut:
+    """Contacts of one tool with a feature.
+
+    Attributes:
+        found: the contacts.
+        q, sides: (n, axes) positions, mm and degrees, and directions of approach at each.
+        axis: (n, 3) intended directions of the tool, in the part's frame.
+        length_mm: of the tool.
+    """
+
+    found: ToolContacts
+    q: np.ndarray
+    sides: np.ndarray
+    axis: np.ndarray
+    length_mm: float
+
+    def thinned(self, count: int) -> Cut:
+        """Return some of the contacts, spread over them."""
+        rows = _spread(self.found, count)
+        return Cut(self.found.part(rows), self.q[rows], self.sides[rows], self.axis[rows], self.length_mm)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """Machines drawn.
+
+    Attributes:
+        errors: (r, machines) standard normal numbers, of which the calibration's covariance makes errors.
+        setup: (6, machines) shift (µm) and rotation (mrad) of the part in its set-up.
+        warmer_K: (machines,) temperature of the part above that of its file.
+    """
+
+    errors: np.ndarray
+    setup: np.ndarray
+    warmer_K: np.ndarray
+
+    @classmethod
+    def none(cls) -> Draw:
+        """Return the calibrated machine alone."""
+        return cls(np.zeros((0, 1)), np.zeros((6, 1)), np.zeros(1))
+
+    def first(self, count: int) -> Draw:
+        """Return the first of the machines."""
+        return Draw(self.errors[:, :count], self.setup[:, :count], self.warmer_K[:count])
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PartPlace:
+    """Place of the part in the work frame: that of its zero, mm, and the axes of its frame as columns (3, 3)."""
+
+    zero_mm: np.ndarray
+    turn: np.ndarray
+
+    @classmethod
+    def at(cls, zero_mm: np.ndarray) -> PartPlace:
+        """Return the place of a part that is not turned."""
+        return cls(zero_mm, np.eye(3))
+
+
+@final
+@dataclass(frozen=True, eq=False)
 class Made:
     """Points of the features under one program, on all machines, and by error of the machine as calibrated."""
 
@@ -61,6 +127,20 @@ class Made:
     axis: Mapping[str, FeaturePoints]
     by_error: Mapping[str, Mapping[str, FeaturePoints]]  # feature to error to points, one column, of surface
     described: Mapping[str, MadeFeature]
+    cuts: Mapping[str, Sequence[Cut]]
+
+
+def with_tools(part: PartDrawing, setup: Setup) -> Setup:
+    """Return a set-up with the lengths of a part's tools, if they have any and the set-up has none."""
+    lengths = {name: tool.length for name, tool in part.tools.items() if tool.length is not None}
+    if not lengths or setup.tools is not None:
+        return setup
+    if len(lengths) < len(part.tools):
+        missing = [i for i, name in enumerate(part.tools) if name not in lengths]
+        raise part.refused(
+            ("tools", missing[0]), "some tools have a length and some have none", "length: of all tools, mm"
+        )
+    return replace(setup, tools=ToolTable(part.path, lengths))
 
 
 @final
@@ -71,22 +151,11 @@ class Maker:
         self, part: PartDrawing, machine: Machine, calibration: Calibration, options: Options, draw: tuple[int, int]
     ) -> None:
         self.part, self.machine, self.calibration = part, machine, calibration
-        self.options = self._with_tools(options)
+        self.options = replace(options, setup=with_tools(part, options.setup))
         self._of_length: dict[float, tuple[Kinematics, ToolUncertainty]] = {}
         # Without uncertainty there is one machine, and no probability.
         machines, self._seed = draw
-        self._machines = machines if self.kinematics(0.0)[1].parameters else 1
-
-    def _with_tools(self, options: Options) -> Options:
-        lengths = {name: tool.length for name, tool in self.part.tools.items() if tool.length is not None}
-        if not lengths or options.setup.tools is not None:
-            return options
-        if len(lengths) < len(self.part.tools):
-            missing = [i for i, name in enumerate(self.part.tools) if name not in lengths]
-            raise self.part.refused(
-                ("tools", missing[0]), "some tools have a length and some have none", "length: of all tools, mm"
-            )
-        return replace(options, setup=replace(options.setup, tools=ToolTable(self.part.path, lengths)))
+        self.machines = machines if self.kinematics(0.0)[1].parameters else 1
 
     def kinematics(self, length: float) -> tuple[Kinematics, ToolUncertainty]:
         """Return the machine with a tool of some length, and the uncertainty of its poses."""
@@ -96,19 +165,14 @@ class Maker:
         return self._of_length[length]
 
     @cached_property
-    def draws(self) -> np.ndarray:
-        """(r, machines) standard normal numbers; the first machine is the calibrated one."""
+    def draw(self) -> Draw:
+        """The machines; the first is the calibrated one, with the part exactly in its place."""
         width = len(self.kinematics(0.0)[1].parameters)
-        drawn = np.random.default_rng(self._seed).standard_normal((width, self._machines))
-        drawn[:, 0] = 0.0
-        return drawn
-
-    @cached_property
-    def placed(self) -> np.ndarray:
-        """(6, machines) shift (µm) and rotation (mrad) of the part in its set-up; none of the first machine."""
-        drawn = np.random.default_rng([self._seed, 1]).standard_normal((6, self._machines))
-        drawn[:, 0] = 0.0
-        return drawn * self.part.setup.standard[:, None]
+        errors = np.random.default_rng(self._seed).standard_normal((width, self.machines))
+        setup = np.random.default_rng([self._seed, 1]).standard_normal((6, self.machines))
+        warmer = np.random.default_rng([self._seed, 2]).standard_normal(self.machines)
+        errors[:, 0] = setup[:, 0] = warmer[0] = 0.0
+        return Draw(errors, setup * self.part.setup.standard[:, None], warmer * self.part.temperature.u_K)
 
     def run(self, read: Program, dialect: Dialect) -> Execution:
         """Execute a program."""
@@ -129,48 +193,113 @@ class Maker:
             return np.array(self.part.zero)
         if self.part.zero == "table":
             return np.zeros(3)
-        setup = self.options.setup
-        if setup.offsets is not None:
+        if len(run.zeros_mm) != 1:
+            places = "; ".join(", ".join(f"{value:.3f}" for value in place) for place in run.zeros_mm[:3])
             raise self.part.refused(
-                ("zero",),
-                "the program's zero is not one place: it selects work offsets from a table",
-                "zero: table, or its place in the work frame, mm",
-                self.part.zero,
+                ("zero",), "the program's zero is not one place: its work offsets or the tool lengths in force move it",
+                "zero: table, or its place in the work frame, mm", places,
+            )  # fmt: skip
+        return np.array(run.zeros_mm[0])
+
+    def settle(self, run: Execution, zero_mm: np.ndarray) -> None:
+        """Give the points to every feature that is what the program means to cut; ``run``: of the program as it is."""
+        for name, feature in self.part.features.items():
+            if isinstance(feature, PointsFeature) and feature.side is not None:
+                points = self._beside(name, feature, run, zero_mm).tolist()
+                self.part.features[name] = PointsFeature(**(feature.model_dump() | {"points": points}))
+
+    def _beside(self, name: str, feature: PointsFeature, run: Execution, zero_mm: np.ndarray) -> np.ndarray:
+        """Return (n, 6) points and normals of the surface at a side of the tool, where it does not turn within a step."""
+        run = finely(run, self._chosen(name, run), STEP_MM)
+        found = [np.zeros((0, 6))]
+        for _, tool, rows in self._samples(name, run):
+            poses = self.nominal(float(run.lengths_mm[rows[0]])).forward(run.positions[rows])
+            tips, axis = poses.point_mm - zero_mm, poses.axis
+            step = np.diff(tips, axis=0)
+            length = np.linalg.norm(step, axis=1)
+            way = step / np.maximum(length, 1e-12)[:, None]
+            straight = np.flatnonzero(((way[1:] * way[:-1]).sum(axis=1) > AHEAD) & (length[1:] > 0.0)) + 1
+            a, w = axis[straight], way[straight]
+            up = a - (a * w).sum(axis=1, keepdims=True) * w
+            up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-12)
+            left = np.cross(a, w)
+            left /= np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-12)
+            n = {"left": -left, "right": left, "below": up}[feature.side or "below"]
+            r = tool.corner_radius
+            point = tips[straight] + r * a - (r if feature.side == "below" else tool.radius) * n
+            # A flat tool on a slope cuts with its edge, which is not below its tip.
+            fits = (feature.side != "below") | ((a * w).sum(axis=1) ** 2 < PARALLEL**2) | (r > tool.radius - 1e-9)
+            found.append(np.hstack([point, n])[fits])
+        points = np.concatenate(found)
+        points = points[feature.within_box(points[:, :3])]
+        if len(points) < 3:
+            raise self.part.refused(
+                ("features", name),
+                "no path whose surface is known between these lines",
+                "lines of blocks that cut along a way",
             )
-        space = WordSpace(self.machine, setup, float(run.lengths_mm[0]))
-        words = np.zeros((1, len(self.machine.names)))
-        return np.array(space.nominal.forward(space.commands(words, np.array([self.options.tcp]))).point_mm[0])
+        return points[np.unique(np.linspace(0, len(points) - 1, MOST_POINTS).astype(int))]
 
     def made(self, run: Execution, *, compensated: bool, zero_mm: np.ndarray, progress: Progress = silent) -> Made:
         """Return the points that an executed program makes of every feature, and how they lie on each machine."""
-        surface, axis, described, by_error = {}, {}, {}, {}
-        names = [*self.part.features]
+        surface, described, by_error, cuts = {}, {}, {}, {}
+        names, place = [*self.part.features], PartPlace.at(zero_mm)
         for i, name in enumerate(names):
             feature = self.part.features[name]
             progress(f"{name} of the part", i / len(names))
             if feature.made == "elsewhere":
-                surface[name] = self._elsewhere(feature)
-            else:
-                surface[name], described[name], by_error[name] = self._feature(
-                    name, run, zero_mm, compensated=compensated
-                )
-            if isinstance(feature, Turned):
-                axis[name] = axis_points(feature, surface[name])
-                if not len(axis[name].place_mm):
-                    del axis[name]
-        return Made(surface, axis, by_error, described)
+                surface[name] = self.elsewhere(feature, self.machines)
+                continue
+            cuts[name], described[name] = self._feature(name, run, zero_mm, compensated=compensated)
+            points = [self.displaced(feature, cut, place, self.draw) for cut in cuts[name]]
+            surface[name] = FeaturePoints.joined(points)
+            if not compensated:
+                by_error[name] = self._by_error(feature, cuts[name])
+        return Made(surface, self.axes(surface), by_error, described, cuts)
 
-    def _elsewhere(self, feature: Surface) -> FeaturePoints:
+    def axes(self, surface: Mapping[str, FeaturePoints]) -> dict[str, FeaturePoints]:
+        """Return the points of the axes of features, where these are determined."""
+        turned = {name: one for name, one in self.part.features.items() if name in surface and isinstance(one, Turned)}
+        found = {name: axis_points(one, surface[name]) for name, one in turned.items()}
+        return {name: points for name, points in found.items() if len(points.place_mm)}
+
+    def elsewhere(self, feature: Surface, count: int) -> FeaturePoints:
+        """Return the points of a feature that is made elsewhere, exact on ``count`` machines."""
         points = feature.samples()
         normal = feature.signed_mm(points)[1]
-        return FeaturePoints(
-            points, np.array(normal), np.zeros((len(points), self._machines)), isinstance(feature, Turned)
-        )
+        return FeaturePoints(points, np.array(normal), np.zeros((len(points), count)), isinstance(feature, Turned))
 
     def _feature(
         self, name: str, run: Execution, zero_mm: np.ndarray, *, compensated: bool
-    ) -> tuple[FeaturePoints, MadeFeature, dict[str, FeaturePoints]]:
-        """Return one feature's points on all machines."""
+    ) -> tuple[list[Cut], MadeFeature]:
+        """Return the contacts with one feature."""
+        run, parts = self.touching(name, run, zero_mm, compensated=compensated)
+        total = sum(len(found) for found, *_ in parts)
+        cuts = []
+        for found, some, axis, _ in parts:
+            most = MOST_POINTS // (DRILLED if found.drilled else 1)
+            kept = found.part(_spread(found, most * len(found) // total + 1))
+            at = some[kept.sample]
+            cuts.append(Cut(kept, run.positions[at], run.sides[at], axis[kept.sample], float(run.lengths_mm[some[0]])))
+        lines = np.concatenate([run.lines[some[found.sample]] for found, some, *_ in parts])
+        described = MadeFeature(
+            sum(len(one.found) for one in cuts),
+            (int(lines.min()), int(lines.max())),
+            parts[-1][3],
+            max(float(np.abs(found.off_mm).max()) for found, *_ in parts) * MM / UM,
+            parts[0][0].drilled,
+        )
+        return cuts, described
+
+    def touching(
+        self, name: str, run: Execution, zero_mm: np.ndarray, *, compensated: bool
+    ) -> tuple[Execution, list[tuple[ToolContacts, np.ndarray, np.ndarray, str]]]:
+        """Return an execution with denser samples, and the contacts of each tool with a feature.
+
+        Each: the contacts, the samples (s,) that they count among, the tool's axis (s, 3) there, and the tool's number.
+
+        Raises `InputError`: no block makes the feature.
+        """
         feature = self.part.features[name]
         parts = []
         nearest: tuple[float, int] = (np.inf, 0)
@@ -179,10 +308,11 @@ class Maker:
         within_reach = self._near(feature, (run.reached_mm if compensated else run.meant_mm) - zero_mm)
         if np.any(chosen & within_reach):
             run = part_of(run, within_reach)
-        run = finely(run, self._chosen(name, run), STEP_MM if depth is None else min(STEP_MM, depth / DEPTH_STEPS))
+        step = FREE_STEP_MM if isinstance(feature, PointsFeature) else STEP_MM
+        run = finely(run, self._chosen(name, run), step if depth is None else min(step, depth / DEPTH_STEPS))
         for number, tool, rows in self._samples(name, run):
             length = float(run.lengths_mm[rows[0]])
-            meant = self.kinematics(length)[0] if compensated else self._nominal(length)
+            meant = self.kinematics(length)[0] if compensated else self.nominal(length)
             for some in np.array_split(rows, max(1, len(rows) // ROWS)):
                 poses = (
                     meant.forward(run.positions[some], run.sides[some])
@@ -209,26 +339,10 @@ class Maker:
                 "a surface that the program cuts, in the part's frame, and the tool that cuts it; else made: elsewhere",
             )  # fmt: skip
         # What goes around in a hole makes it, whatever tool drilled it before.
-        parts = [one for one in parts if not one[0].drilled] or parts
-        total = sum(len(found) for found, *_ in parts)
-        points, by_error = [], []
-        for found, some, axis, _ in parts:
-            kept = found.part(_spread(found, MOST_POINTS * len(found) // total + 1))
-            one, each = self._deviations(feature, kept, (some, axis, run, zero_mm), by_error=not compensated)
-            points.append(one)
-            by_error.append(each)
-        lines = np.concatenate([run.lines[some[found.sample]] for found, some, *_ in parts])
-        described = MadeFeature(
-            sum(len(one.place_mm) for one in points),
-            (int(lines.min()), int(lines.max())),
-            parts[-1][3],
-            max(float(np.abs(found.off_mm).max()) for found, *_ in parts) * MM / UM,
-            parts[0][0].drilled,
-        )
-        joined = {key: FeaturePoints.joined([each[key] for each in by_error]) for key in by_error[0]}
-        return FeaturePoints.joined(points), described, joined
+        return run, [one for one in parts if not one[0].drilled] or parts
 
-    def _nominal(self, length: float) -> Kinematics:
+    def nominal(self, length: float) -> Kinematics:
+        """Return the machine without errors, with a tool of some length."""
         return Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=length)
 
     def _samples(self, name: str, run: Execution) -> Iterator[tuple[str, ToolShape, np.ndarray]]:
@@ -264,45 +378,76 @@ class Maker:
             near &= ((tips_mm >= low - reach[:, None]) & (tips_mm <= high + reach[:, None])).all(axis=1)
         return np.asarray(near)
 
-    def _deviations(
-        self,
-        feature: Surface,
-        found: ToolContacts,
-        at: tuple[np.ndarray, np.ndarray, Execution, np.ndarray],
-        *,
-        by_error: bool,
-    ) -> tuple[FeaturePoints, dict[str, FeaturePoints]]:
-        """Return points with their deviations on all machines and, ``by_error``, those of each error on the calibrated one."""
-        some, axis, run, zero_mm = at
-        rows = some[found.sample]
-        real, uncertainty = self.kinematics(float(run.lengths_mm[rows[0]]))
-        q, sides = run.positions[rows], run.sides[rows]
-        poses = real.forward(q, sides)
-        mean = found.deviation_mm(feature, poses.point_mm - zero_mm, poses.axis, axis[found.sample]) * MM / UM
-        sensitive = real.sensitivities(q, sides).error
-        components, spread = uncertainty.frame_factors(q, sides)
+    def displaced(
+        self, feature: Surface, cut: Cut, place: PartPlace, draw: Draw, *, mean: bool = True
+    ) -> FeaturePoints:
+        """Return the points of a cut on drawn machines, with the part at its place; ``mean``: with the errors of the calibrated one."""
+        found, q, sides = cut.found, cut.q, cut.sides
+        real, uncertainty = self.kinematics(cut.length_mm)
+        deviation = np.zeros((len(found), draw.errors.shape[1]))
+        if mean:
+            poses = real.forward(q, sides)
+            tip, axis = (poses.point_mm - place.zero_mm) @ place.turn, poses.axis @ place.turn
+            deviation += (found.deviation_mm(feature, tip, axis, cut.axis) * MM / UM)[:, None]
+        if len(draw.errors):
+            components, spread = uncertainty.frame_factors(q, sides)
+            root = np.einsum("ne,ner->nr", self._seen(cut, place)[:, components], spread)
+            deviation += root @ draw.errors
+        points = _points_of(feature, [cut])
+        warmer = draw.warmer_K + (self.part.temperature.mean_K if mean else 0.0)
+        return points.with_deviation(deviation + points.motion @ draw.setup + self._growth(points)[:, None] * warmer)
+
+    def _growth(self, points: FeaturePoints) -> np.ndarray:
+        """Return (n,) deviations at the drawing's temperature, µm per kelvin that the part was warmer when it was cut."""
+        # mm of the part by its coefficient, µm/(m·K), are nm.
+        return np.asarray(
+            -1e-3 * self.part.temperature.expansion_um_m_K * (points.place_mm * points.normal).sum(axis=1)
+        )
+
+    def _seen(self, cut: Cut, place: PartPlace) -> np.ndarray:
+        """Return (n, errors) deviations along the normals, µm, by components of the error frames, µm and µrad."""
         # Along the normal: the point's displacement, and the tool's rotation by its lever (µrad·mm are nm).
-        lever = np.cross(found.lever_mm, found.normal) * 1e-3
-        seen = np.einsum("nf,nfe->ne", np.hstack([found.normal, lever]), sensitive)
-        root = np.einsum("ne,ner->nr", seen[:, components], spread)
-        sized = not (found.drilled or isinstance(feature, PlaneFeature))
-        points = FeaturePoints(found.place_mm, found.normal, mean[:, None] + root @ self.draws, sized, found.drilled)
-        points = points.with_deviation(points.deviation_um + points.motion @ self.placed)
-        state = state_at(self.machine, q, sides, self.options.conditions)
-        each: dict[str, np.ndarray] = {}
-        for effect in self.calibration.effects if by_error else ():
-            own = errors_in(state, [effect], self.machine, len(q))
-            each[effect.name] = each.get(effect.name, 0.0) + (seen * own).sum(axis=1) / UM
-        return points, {key: points.with_deviation(value[:, None]) for key, value in each.items()}
+        normal, lever = cut.found.normal @ place.turn.T, cut.found.lever_mm @ place.turn.T
+        sensitive = self.kinematics(cut.length_mm)[0].sensitivities(cut.q, cut.sides).error
+        return np.asarray(np.einsum("nf,nfe->ne", np.hstack([normal, np.cross(lever, normal) * 1e-3]), sensitive))
+
+    def _by_error(self, feature: Surface, cuts: Sequence[Cut]) -> dict[str, FeaturePoints]:
+        """Return the points with what each error of the calibrated machine adds to them, one column."""
+        parts: dict[str, list[np.ndarray]] = {}
+        for cut in cuts:
+            seen = self._seen(cut, PartPlace.at(np.zeros(3)))
+            state = state_at(self.machine, cut.q, cut.sides, self.options.conditions)
+            own: dict[str, np.ndarray] = {}
+            for effect in self.calibration.effects:
+                errors = errors_in(state, [effect], self.machine, len(cut.q))
+                own[effect.name] = own.get(effect.name, 0.0) + (seen * errors).sum(axis=1) / UM
+            for key, value in own.items():
+                parts.setdefault(key, []).append(value)
+        points = _points_of(feature, cuts)
+        if self.part.temperature.mean_K:
+            parts[TEMPERATURE] = [self._growth(points) * self.part.temperature.mean_K]
+        return {key: points.with_deviation(np.concatenate(values)[:, None]) for key, values in parts.items()}
+
+
+def _points_of(feature: Surface, cuts: Sequence[Cut]) -> FeaturePoints:
+    """Return the points of a feature without deviations."""
+    place, normal = (np.concatenate([getattr(cut.found, key) for cut in cuts]) for key in ("place_mm", "normal"))
+    drilled = cuts[0].found.drilled
+    sized = not (drilled or isinstance(feature, PlaneFeature | PointsFeature))
+    return FeaturePoints(place, normal, np.zeros((len(place), 1)), sized, drilled)
 
 
 ROWS: Final = 100_000
 STEP_MM: Final = 1.0
 """Largest distance of two samples of the tool's way along a straight block."""
+AHEAD: Final = 0.995
+"""Cosine of the angle by which a way turns in a sample: 6°."""
+FREE_STEP_MM: Final = 0.1
+"""The same at points of a free-form surface."""
 DEPTH_STEPS: Final = 100
 
 
-ARRAYS: Final = tuple(one.name for one in fields(Execution) if one.name not in ("left_out", "unknown"))
+ARRAYS: Final = tuple(one.name for one in fields(Execution) if one.name not in ("left_out", "unknown", "zeros_mm"))
 
 
 def taken(run: Execution, rows: np.ndarray) -> Execution:

@@ -379,6 +379,7 @@ class ToolUncertainty:
     Attributes:
         kinematics: machine, calibration and tool.
         covariance: covariance of the parameters, those of unknown errors last.
+        factor: (parameters, r) F, of which F Fᵀ is that covariance.
         unknown: names of the errors left out of the calibration whose plausible size is included.
         without_uncertainty: names of errors, or of single parameters of a curve, with a value but no uncertainty.
 
@@ -417,7 +418,7 @@ class ToolUncertainty:
             else ()
         )
         self._index = {name: i for i, name in enumerate(covariance.names)}
-        self._factor = _factor(covariance)
+        self.factor = _factor(covariance)
         frames = kinematics.machine.frames
         self._start = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(frames)}
 
@@ -549,7 +550,7 @@ class ToolUncertainty:
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw deviations (parameters, count) of the uncertain parameters, µm and µrad: normal, with their covariance."""
-        return np.asarray(self._factor @ rng.standard_normal((count, self._factor.shape[1])).T)
+        return np.asarray(self.factor @ rng.standard_normal((count, self.factor.shape[1])).T)
 
     def frame_factors(self, q: np.ndarray, sides: np.ndarray) -> tuple[list[int], np.ndarray]:
         """Return a factor of the covariance of the error frames' components that have an uncertainty.
@@ -562,9 +563,9 @@ class ToolUncertainty:
             Their indices into the (6·frames,) vector, and the factor F (n, indices, r), µm and µrad: their covariance is F Fᵀ.
         """
         moved = self.rates(q, sides)
-        spread = np.empty((len(moved), len(q), self._factor.shape[1]))
+        spread = np.empty((len(moved), len(q), self.factor.shape[1]))
         for i, (_, columns, shape) in enumerate(moved):
-            np.matmul(shape, self._factor[columns], out=spread[i])
+            np.matmul(shape, self.factor[columns], out=spread[i])
         return [component for component, _, _ in moved], spread.transpose(1, 0, 2)
 
 

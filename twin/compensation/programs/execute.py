@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Final, final
 
@@ -12,7 +12,7 @@ import numpy as np
 from twin._common.units import count_with_noun
 from twin.compensation.programs.backlash import Backlash
 from twin.compensation.programs.block_conditions import CONSTANT, BlockConditions, block_conditions
-from twin.compensation.programs.follow import follow_sections
+from twin.compensation.programs.follow import SectionMotions, follow_sections
 from twin.compensation.programs.motions import (
     CHORD_MM,
     SAMPLES_A_PIECE,
@@ -57,6 +57,7 @@ class Execution(Result):
         lengths_mm: (n,) its length.
         left_out: number of points outside an axis's range, for which no errors are known.
         unknown: blocks left out because their places are unknown.
+        zeros_mm: (k, 3) places of the program's zero in the work frame while it cuts; one unless work offsets or tool lengths move it.
     """
 
     positions: np.ndarray
@@ -72,6 +73,7 @@ class Execution(Result):
     lengths_mm: np.ndarray
     left_out: int
     unknown: tuple[LostBlock, ...] = ()
+    zeros_mm: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def complete(self) -> bool:
@@ -173,7 +175,21 @@ def execute_program(
             runs.append(replace(run, tools=np.full(len(run.lines), part.tool)))
     whole = runs[0] if len(runs) == 1 else _joined(runs)
     numbered = tuple(one._replace(line=int(read.numbers[one.line]) - 1) for one in path.unknown)
-    return replace(whole, unknown=numbered)
+    return replace(whole, unknown=numbered, zeros_mm=_zeros(parts))
+
+
+def _zeros(parts: Sequence[SectionMotions]) -> np.ndarray:
+    """Return (k, 3) different places of the program's zero in the sections that cut: outside their tilted planes, rotary words zero."""
+    found: list[np.ndarray] = []
+    for part in {id(part.space): part for part in parts if not part.path.columns.rapid[part.context :].all()}.values():
+        space, modes = part.space, np.unique(part.path.columns.tcp[part.context :])
+        if space.tilt is not None:
+            space, modes = WordSpace(space.machine, space.setup, space.tool_length_mm, like=space), np.array([False])
+        words = np.zeros((len(modes), len(space.axes.names)))
+        for place in space.nominal.forward(space.commands(words, modes)).point_mm:
+            if not any(np.abs(place - other).max() < SAME_POSITION for other in found):
+                found.append(place)
+    return np.array(found).reshape(-1, 3)
 
 
 def execute(
@@ -232,9 +248,9 @@ def _gaps(path: ToolPath, space: WordSpace, positions: np.ndarray, ends: np.ndar
 def _joined(runs: Sequence[Execution]) -> Execution:
     """Return the executions of consecutive sections as one."""
     arrays = {
-        field.name: np.concatenate([getattr(run, field.name) for run in runs])
-        for field in fields(Execution)
-        if field.name not in ("left_out", "unknown")
+        one.name: np.concatenate([getattr(run, one.name) for run in runs])
+        for one in fields(Execution)
+        if one.name not in ("left_out", "unknown", "zeros_mm")
     }
     return Execution(**arrays, left_out=sum(run.left_out for run in runs), unknown=())
 

@@ -507,7 +507,7 @@ def _carried_on(named: np.ndarray, before: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class Section:
-    """Lines of a program in the same frame."""
+    """Lines of a program in the same frame, with one tool: another of the same length begins another section."""
 
     line: int  # 0-based index of the first line
     frame: WordFrame
@@ -549,13 +549,13 @@ class Sections:
         return self.found[new:]
 
     def _enter(self, line: int) -> None:
-        """Begin the section of the frame in force, if it is another one; ``line``: that of its first move."""
+        """Begin the section of the frame and tool in force, if it is another one; ``line``: that of its first move."""
         change, frame, found = self._frame, self._frame.frame, self.found
         at = self._standing if frame.plane is None else _standing(self._last, self._standing, self._base)
         space = self._frames.of(frame, self._source, line + 1, at)
         self._standing = self._standing if space.tilt is None else space.tilt.rotary_deg
         self._decided = True
-        if not found or found[-1].space is not space:
+        if not found or found[-1].space is not space or found[-1].frame.tool != frame.tool:
             found.append(Section(change.line if found else 0, frame, space, self._assumed))
 
 

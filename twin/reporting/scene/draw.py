@@ -167,10 +167,12 @@ def scene_html(
     exaggeration: float | None = None,
     warnings: Sequence[SourceWarning] = (),
     omitted: str = "",
+    features: Sequence[tuple[np.ndarray, float]] = (),
 ) -> str:
     """Return the page with the moving machine and the tool path, whose deviation is exaggerated and coloured; several megabytes.
 
-    ``exaggeration`` None chooses a round number; ``omitted``: parts of the program that are not in the path, as shown on the page.
+    ``exaggeration`` None chooses a round number; ``omitted``: parts of the program that are not in the path, as shown on the page;
+    ``features``: (n, 3) points of each feature of a part in the work frame, mm, and its probability of conformity, NaN if unknown.
     Raises `InputError` if the path does not fit the machine, the factor is not positive, or the URDF has shapes that cannot be drawn.
     """
     machine = kinematics.machine
@@ -192,6 +194,7 @@ def scene_html(
         *_machine_commands(visuals, links, work),
         *_tool_commands(kinematics, node_of(tool), 0.008 * path.extent_mm * MM),
         *_path_commands(path, factor, top_um, node_of(work), size),
+        *_feature_commands(features, node_of(work).append("features"), 0.006 * path.extent_mm),
         *_motion_commands(frames, links, poses),
         *_stage_commands(box),
     ]
@@ -213,6 +216,7 @@ def scene_html(
         machine=machine.name,
         factor=factor,
         path=whole,
+        features=bool(features),
         notices=[*warning_texts(warnings), *([f"Not shown: {omitted}."] if omitted else [])],
         still="" if len(frames.share) > 1 else "still",
     )
@@ -397,6 +401,25 @@ def _path_commands(path: ScenePath, factor: float, top_um: float, node: NodePath
     return commands
 
 
+_DOT: Final = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
+_DOT_FACES: Final = np.array([[a, (a + 1) % 4, 4] for a in range(4)] + [[(a + 1) % 4, a, 5] for a in range(4)])
+_PROBABILITY: Final = np.array([[0.84, 0.37, 0.0], [0.90, 0.62, 0.0], [0.0, 0.62, 0.45]])
+"""Colours of probabilities up to 5 %, of 50 % and from 95 % on; for all colour vision."""
+_NOT_KNOWN: Final = (0.5, 0.5, 0.5)
+
+
+def _feature_commands(features: Sequence[tuple[np.ndarray, float]], node: NodePath, radius_mm: float) -> list[Any]:
+    """Return commands for the points of features, in the colour of their probability of conformity; grey if it is unknown."""
+    dots = []
+    for points, probability in features:
+        known = math.isfinite(probability)
+        colour = [np.interp(probability, (0.05, 0.5, 0.95), part) for part in _PROBABILITY.T] if known else _NOT_KNOWN
+        vertices = (points[:, None] + radius_mm * _DOT).reshape(-1, 3) * MM
+        faces = (_DOT_FACES + len(_DOT) * np.arange(len(points))[:, None, None]).reshape(-1, 3)
+        dots.append(Mesh(vertices, faces, np.tile(colour, (len(vertices), 1))))
+    return [mesh_command(joined(dots), node)] if dots and radius_mm > 0 else []
+
+
 def _motion_commands(frames: Keyframes, links: tuple[str, ...], poses: np.ndarray) -> list[Any]:
     """Return commands for the poses of the links and the animation of the moving ones, one node per link."""
     commands: list[Any] = []
@@ -555,6 +578,7 @@ def draw_program(  # noqa: PLR0913
     conditions: Conditions | None = None,
     exaggeration: float | None = None,
     language: str | None = None,
+    features: Sequence[tuple[np.ndarray, float]] = (),
     progress: Progress = silent,
 ) -> Scene:
     """Return the animation of a machine running an NC program.
@@ -569,6 +593,7 @@ def draw_program(  # noqa: PLR0913
         conditions: temperatures and time, for the effects that need them.
         exaggeration: factor of the drawn deviation; None chooses a round number.
         language: as for `twin.read_program`.
+        features: (n, 3) points of each feature of a part in the work frame, mm, and its probability of conformity, NaN if unknown.
         progress: callback, called with stage and completed fraction.
 
     Raises:
@@ -602,5 +627,6 @@ def draw_program(  # noqa: PLR0913
         exaggeration=exaggeration,
         warnings=errors.warnings,
         omitted=run.omitted,
+        features=features,
     )
     return Scene(page, run)
