@@ -172,6 +172,35 @@ class Maker:
     ) -> tuple[FeaturePoints, MadeFeature, dict[str, FeaturePoints]]:
         """Return one feature's points on all machines."""
         feature = self.part.features[name]
+        run, parts = self.touching(name, run, zero_mm, compensated=compensated)
+        total = sum(len(found) for found, *_ in parts)
+        points, by_error = [], []
+        for found, some, axis, _ in parts:
+            kept = found.part(_spread(found, MOST_POINTS * len(found) // total + 1))
+            one, each = self._deviations(feature, kept, (some, axis, run, zero_mm), by_error=not compensated)
+            points.append(one)
+            by_error.append(each)
+        lines = np.concatenate([run.lines[some[found.sample]] for found, some, *_ in parts])
+        described = MadeFeature(
+            sum(len(one.place_mm) for one in points),
+            (int(lines.min()), int(lines.max())),
+            parts[-1][3],
+            max(float(np.abs(found.off_mm).max()) for found, *_ in parts) * MM / UM,
+            parts[0][0].drilled,
+        )
+        joined = {key: FeaturePoints.joined([each[key] for each in by_error]) for key in by_error[0]}
+        return FeaturePoints.joined(points), described, joined
+
+    def touching(
+        self, name: str, run: Execution, zero_mm: np.ndarray, *, compensated: bool
+    ) -> tuple[Execution, list[tuple[ToolContacts, np.ndarray, np.ndarray, str]]]:
+        """Return an execution with denser samples, and the contacts of each tool with a feature.
+
+        Each: the contacts, the samples (s,) that they count among, the tool's axis (s, 3) there, and the tool's number.
+
+        Raises `InputError`: no block makes the feature.
+        """
+        feature = self.part.features[name]
         parts = []
         nearest: tuple[float, int] = (np.inf, 0)
         depth = getattr(feature, "depth", None)
@@ -209,24 +238,7 @@ class Maker:
                 "a surface that the program cuts, in the part's frame, and the tool that cuts it; else made: elsewhere",
             )  # fmt: skip
         # What goes around in a hole makes it, whatever tool drilled it before.
-        parts = [one for one in parts if not one[0].drilled] or parts
-        total = sum(len(found) for found, *_ in parts)
-        points, by_error = [], []
-        for found, some, axis, _ in parts:
-            kept = found.part(_spread(found, MOST_POINTS * len(found) // total + 1))
-            one, each = self._deviations(feature, kept, (some, axis, run, zero_mm), by_error=not compensated)
-            points.append(one)
-            by_error.append(each)
-        lines = np.concatenate([run.lines[some[found.sample]] for found, some, *_ in parts])
-        described = MadeFeature(
-            sum(len(one.place_mm) for one in points),
-            (int(lines.min()), int(lines.max())),
-            parts[-1][3],
-            max(float(np.abs(found.off_mm).max()) for found, *_ in parts) * MM / UM,
-            parts[0][0].drilled,
-        )
-        joined = {key: FeaturePoints.joined([each[key] for each in by_error]) for key in by_error[0]}
-        return FeaturePoints.joined(points), described, joined
+        return run, [one for one in parts if not one[0].drilled] or parts
 
     def _nominal(self, length: float) -> Kinematics:
         return Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=length)
