@@ -336,7 +336,7 @@ def _nearest(
     def between(values: np.ndarray) -> np.ndarray:
         return np.asarray(values[begin] + share[:, None] * (values[end] - values[begin]))
 
-    positions, sides = between(run.positions[rows]), run.sides[rows]
+    positions, sides = _on_curve(run, rows[begin], share), run.sides[rows]
     later = np.where(share > 0.0, end, begin)
     side = np.column_stack([sides[later, :-1], between(sides[:, -1:])])
     follows = np.diff(first.sample, append=-1) == 1
@@ -373,6 +373,37 @@ def _nearest(
 FLANK: Final = 1e-4
 REACH_MM: Final = 1.5
 """Distance of a point from the nearest way of the tool, where it cuts in a line: samples are 1 mm apart."""
+
+
+def _on_curve(run: Execution, before: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Return (m, axes) positions at shares of the way from samples (m,) to the next, through up to four samples of the same block.
+
+    Lagrange polynomials in the length of the chords: samples of an arc lie on it, and so does what is between them.
+    """
+    samples = len(run.lines)
+    at = before[:, None] + np.array([-1, 0, 1, 2])
+    inside = np.clip(at, 0, samples - 1)
+    steps = np.linalg.norm(np.diff(run.positions[inside], axis=1), axis=2)
+    node = np.column_stack([-steps[:, 0], np.zeros(len(at)), steps[:, 1], steps[:, 1] + steps[:, 2]])
+    same = run.lines[inside] == run.lines[inside[:, 2:3]]
+    used = (at == inside) & same
+    used[:, 0] &= steps[:, 0] > 1e-9
+    used[:, 3] &= steps[:, 2] > 1e-9
+    used[:, 0] &= ~run.gaps[inside[:, 1]]
+    used[:, 3] &= ~run.gaps[inside[:, 3]]
+    # The end of the block before is the beginning of this one.
+    used[:, 1] = True
+    used[:, 2] = (at[:, 2] == inside[:, 2]) & (steps[:, 1] > 1e-9) & (share > 0.0)
+    where = share * steps[:, 1]
+    positions = np.zeros((len(at), run.positions.shape[1]))
+    for j in range(4):
+        weight = used[:, j].astype(float)
+        for k in range(4):
+            if k != j:
+                apart = np.where(used[:, j] & used[:, k], node[:, j] - node[:, k], 1.0)
+                weight *= np.where(used[:, k], (where - node[:, k]) / apart, 1.0)
+        positions += weight[:, None] * run.positions[inside[:, j]]
+    return positions
 
 
 def _lowest(found: ToolContacts, axis: np.ndarray, tool: ToolShape) -> ToolContacts:
