@@ -657,9 +657,9 @@ class Network:
             of = np.flatnonzero((target if kind == "place" else station) == i)
             # y = Rᵀ(p − o); R → R·Exp(φ): dy = y × φ.
             if kind == "turn":
-                into[of, :, at] = view.by_seen[of] @ cross_matrix(view.seen[of])
+                into[of, :, at] = (view.by_seen[of] @ cross_matrix(view.seen[of]))[:, :, setup.acts(kind, i)]
             elif kind == "origin":
-                into[of, :, at] = -view.by_ride[of]
+                into[of, :, at] = -view.by_ride[of][:, :, setup.acts(kind, i)]
             elif kind == "dead path":
                 into[of, :, at] = -view.whitening[of][:, :, :1]
             else:

@@ -30,6 +30,9 @@ TURN_PLAUSIBLE: Final = 1.0
 """Prior standard deviation of a station's rotation about its initial value, rad."""
 
 
+ALIGNED_TURN: Final = 1e-3
+ALIGNED_SHIFT: Final = 5e-3
+"""The same, rad and m, of a part whose program and measurement have nearly the same frame."""
 TOOL_PLAUSIBLE: Final = 1e-4
 """Prior standard deviation of a tool's radius, of its length, and of its deflection, m."""
 TOOL_SIZES: Final = ("radius", "length", "deflection")
@@ -62,6 +65,8 @@ class StationsAndTargets:
         tools: names of the tools that cut measured points.
         tool: (tools, 3) deviation of their radius and length, m, and deflection by one unit of engagement, m (`TOOL_SIZES`).
         tool_acts: (tools, 3) whether any reading depends on it.
+        station_acts: (stations, 6) whether each component of a station's rotation and origin is unknown. A motion of a part that its
+            points do not show stays zero: as a large one it would deform what they show.
         shift: (unknowns,) change of each parameter by `moved` since its initial value, metres and radians; None for zero.
     """
 
@@ -78,6 +83,7 @@ class StationsAndTargets:
     tools: tuple[str, ...] = ()
     tool: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     tool_acts: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), dtype=bool))
+    station_acts: np.ndarray = field(default_factory=lambda: np.zeros((0, 6), dtype=bool))
     shift: np.ndarray | None = None
 
     @classmethod
@@ -99,7 +105,11 @@ class StationsAndTargets:
         tools = tuple(name for name in dict.fromkeys(data.tool.tolist()) if name)
         acts = [(np.nan_to_num(data.by_tool[data.tool == name]) != 0.0).any(axis=0) for name in tools]
         return replace(
-            setup, tools=tools, tool=np.zeros((len(tools), 3)), tool_acts=np.array(acts, dtype=bool).reshape(-1, 3)
+            setup,
+            tools=tools,
+            tool=np.zeros((len(tools), 3)),
+            tool_acts=np.array(acts, dtype=bool).reshape(-1, 3),
+            station_acts=np.ones((len(stations), 6), dtype=bool),
         )
 
     def of(self, data: Measurements) -> StationsAndTargets:
@@ -128,6 +138,7 @@ class StationsAndTargets:
             tools=tuple(self.tools[i] for i in tools),
             tool=self.tool[tools],
             tool_acts=self.tool_acts[tools],
+            station_acts=self.station_acts[stations],
             shift=None,
         )
 
@@ -149,21 +160,26 @@ class StationsAndTargets:
 
         def add(kind: SlotKind, number: int, count: int = 3) -> None:
             start = slots[-1].at.stop if slots else 0
+            if not count:
+                return
             slots.append(Slot(kind, number, slice(start, start + count)))
 
         for i, (known, reads) in enumerate(zip(self.station_known.tolist(), self.reads, strict=True)):
             if reads.turns and not known:
-                add("turn", i)
+                add("turn", i, int(self.acts("turn", i).sum()))
             if not known:
-                add("origin", i)
+                add("origin", i, int(self.acts("origin", i).sum()))
             if reads.free_start:
                 add("dead path", i, 1)
         for i in np.flatnonzero(~self.target_known).tolist():
             add("place", i, 2 if self.lines[i] else 3)
         for i, acts in enumerate(self.tool_acts):
-            if acts.any():
-                add("tool", i, int(np.count_nonzero(acts)))
+            add("tool", i, int(np.count_nonzero(acts)))
         return tuple(slots)
+
+    def acts(self, kind: SlotKind, number: int) -> np.ndarray:
+        """Return (3,) which components of a station's rotation (``turn``) or origin are unknown."""
+        return self.station_acts[number, :3] if kind == "turn" else self.station_acts[number, 3:]
 
     def by_tool(self, data: Measurements, number: int) -> np.ndarray:
         """Return (n, k) change of the readings by the k sizes of one tool that act; zero for points that it did not cut."""
@@ -194,6 +210,8 @@ class StationsAndTargets:
                 continue
             what = f"target {self.targets[i]}" if kind == "place" else f"station {self.stations[i]}"
             axes = "xyz"[: at.stop - at.start]
+            if kind in ("turn", "origin"):
+                axes = "".join(axis for axis, one in zip("xyz", self.acts(kind, i), strict=True) if one)
             names += [f"{what} turn {axis}" if kind == "turn" else f"{what} {axis}" for axis in axes]
         return tuple(names)
 
@@ -203,9 +221,13 @@ class StationsAndTargets:
         # The factor allows for a common shift of all targets of that size.
         place = PLACE_PLAUSIBLE * float(np.sqrt(max(int(np.count_nonzero(~self.target_known)), 1)))
         kinds = {"place": place, "turn": TURN_PLAUSIBLE, "tool": TOOL_PLAUSIBLE}
-        return np.array(
-            [kinds.get(kind, STATION_PLAUSIBLE) for kind, _, at in self.slots for _ in range(at.stop - at.start)]
-        )
+        sizes = []
+        for kind, i, at in self.slots:
+            size = kinds.get(kind, STATION_PLAUSIBLE)
+            if kind in ("turn", "origin") and self.reads[i].aligned:
+                size = ALIGNED_TURN if kind == "turn" else ALIGNED_SHIFT
+            sizes += [size] * (at.stop - at.start)
+        return np.array(sizes)
 
     def moved(self, step: np.ndarray) -> StationsAndTargets:
         """Return the set-up after a step; rotations are rotation vectors in the station's own frame."""
@@ -213,7 +235,11 @@ class StationsAndTargets:
         shifted = {"origin": np.array(self.origin), "dead path": np.array(self.dead), "place": np.array(self.place)}
         for kind, i, at in self.slots:
             if kind == "turn":
-                rotation[i] = rotation[i] @ rotation_exp(step[at])
+                turn = np.zeros(3)
+                turn[self.acts(kind, i)] = step[at]
+                rotation[i] = rotation[i] @ rotation_exp(turn)
+            elif kind == "origin":
+                shifted[kind][i, self.acts(kind, i)] += step[at]
             elif kind == "tool":
                 tool[i, self.tool_acts[i]] += step[at]
             else:
@@ -239,6 +265,9 @@ LARGEST_MISFIT_M: Final = 5e-3
 """Deviation of a reading from the nominal machine, m, above which the row is wrong: no machine tool has such errors."""
 RELATIVE_RANK: Final = 1e-3
 """Relative singular value below which the readings do not determine a direction."""
+LEAST_ARM: Final = 2e-3
+LEAST_SHIFT: Final = 1e-3
+"""Change of all readings by a rotation of a part, m/rad, and by a shift, below which they do not determine it."""
 SWEEPS: Final = 60
 LARGEST_TURN: Final = 0.5
 """Largest rotation in one step, rad."""
@@ -368,9 +397,10 @@ def _by_directions(
     points, along = carried.at(setup.place[target]), reading_frames(data)[:, 0]
     reading = np.nan_to_num(data.point_mm[:, 0]) * MM
     rotation, origin = np.array(setup.rotation), np.array(setup.origin)
-    misfit = np.zeros(len(data))
+    misfit, acts = np.zeros(len(data)), np.array(setup.station_acts)
     for i in range(len(setup.stations)):
         rows = np.flatnonzero(station == i)
+        acts[i] = _determined(np.hstack([np.cross(along[rows], points[rows] - points[rows].mean(axis=0)), along[rows]]))
         for _ in range(SWEEPS):
             seen = (points[rows] - origin[i]) @ rotation[i]
             residual = reading[rows] - np.einsum("ni,ni->n", along[rows], seen)
@@ -380,12 +410,25 @@ def _by_directions(
             weight = np.sqrt(FLOOR / np.maximum(misfit[rows], FLOOR))
             columns = np.hstack([np.cross(along[rows], seen), -along[rows] @ rotation[i].T]) * weight[:, None]
             scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-            step = np.linalg.lstsq(columns / scale, residual * weight, rcond=RELATIVE_RANK)[0] / scale
+            step = np.zeros(6)
+            own = acts[i]
+            step[own] = np.linalg.lstsq((columns / scale)[:, own], residual * weight, rcond=1e-12)[0] / scale[own]
             step[:3] *= min(1.0, LARGEST_TURN / max(float(np.abs(step[:3]).max()), 1e-12))
             rotation[i], origin[i] = rotation[i] @ rotation_exp(step[:3]), origin[i] + step[3:]
             if np.abs(step).max() < LEAST_ROTATION:
                 break
-    return replace(setup, rotation=rotation, origin=origin), misfit
+    return replace(setup, rotation=rotation, origin=origin, station_acts=acts), misfit
+
+
+def _determined(columns: np.ndarray) -> np.ndarray:
+    """Return (6,) which motions of a part its points determine, from derivatives (n, 6) by rotation and origin, in this order of trust."""
+    basis, acts = np.zeros((len(columns), 0)), np.zeros(6, dtype=bool)
+    for k, least in ((3, LEAST_SHIFT), (4, LEAST_SHIFT), (5, LEAST_SHIFT), (2, LEAST_ARM), (1, LEAST_ARM), (0, LEAST_ARM)):
+        left = columns[:, k] - basis @ (basis.T @ columns[:, k])
+        length = float(np.linalg.norm(left))
+        if length > least:
+            basis, acts[k] = np.column_stack([basis, left / length]), True
+    return acts
 
 
 @final

@@ -139,6 +139,7 @@ CMM: Final = LinearInterferometer(
         effects=("frame_shift",),
         source="assumed: E = 1.8 µm + L/300 (ISO 10360-2, data sheets of usual machines), taken as two standard deviations",
         beam=False,
+        aligned=True,
         set_up=SetUpWords(station="place of", target="point"),
     ),
 )
