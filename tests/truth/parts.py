@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+Hidden = tuple[str, str, Mapping[str, float]]
+"""Effect, where it is, and its numbers."""
 SAMPLES = Path(__file__).resolve().parents[2] / "twin" / "samples"
 D = 154.996
 ZERO = np.array([250.0, 225.0, -280.0])
@@ -25,7 +27,7 @@ RAPID = 500.0
 
 
 @dataclass(frozen=True)
-class Path_:
+class Way:
     """Samples of a program: (n, 3) tips in the part's frame, (n, 3) directions of approach, (n,) s, (n,) whether it feeds."""
 
     tip: np.ndarray
@@ -35,7 +37,7 @@ class Path_:
 
 
 @lru_cache(maxsize=8)
-def path_of(name: str) -> Path_:
+def path_of(name: str) -> Way:
     """Return the way of the tip in a bundled program of three axes."""
     at, code, feed = np.array([np.nan, np.nan, np.nan]), 0, np.nan
     points, feeds, took = [], [], []
@@ -53,7 +55,7 @@ def path_of(name: str) -> Path_:
             at = goal
             continue
         if code in (2, 3):
-            centre = at[:2] + [words["I"], words["J"]]
+            centre = np.array([at[0] + words["I"], at[1] + words["J"]])
             first, last = (np.arctan2(*(p[:2] - centre)[::-1]) for p in (at, goal))
             sweep = (last - first) % (2 * np.pi) if code == 3 else -((first - last) % (2 * np.pi))
             radius = np.linalg.norm(at[:2] - centre)
@@ -75,7 +77,7 @@ def path_of(name: str) -> Path_:
     sign = np.sign(np.round(np.diff(tip, axis=0, prepend=tip[:1]), 9))
     for i in range(1, len(sign)):
         sign[i] = np.where(sign[i] == 0.0, sign[i - 1], sign[i])
-    return Path_(tip, sign, np.cumsum(np.concatenate(took)), np.concatenate(feeds))
+    return Way(tip, sign, np.cumsum(np.concatenate(took)), np.concatenate(feeds))
 
 
 @dataclass(frozen=True)
@@ -229,7 +231,7 @@ def write(
         )
         if at.centre:
             for k in range(0, len(off), 2):
-                x, y, z = at.place[k]
+                x, y = at.place[k, :2]
                 out.writerow([at.feature[k], x, y, "", f"{x + off[k]:.5f}", f"{y + off[k + 1]:.5f}", "", u])
         else:
             for k in range(len(off)):

@@ -421,9 +421,16 @@ def _by_directions(
 
 
 def _determined(columns: np.ndarray) -> np.ndarray:
-    """Return (6,) which motions of a part its points determine, from derivatives (n, 6) by rotation and origin, in this order of trust."""
+    """Return (6,) which motions of a part its points determine, from derivatives (n, 6) by rotation and origin."""
     basis, acts = np.zeros((len(columns), 0)), np.zeros(6, dtype=bool)
-    for k, least in ((3, LEAST_SHIFT), (4, LEAST_SHIFT), (5, LEAST_SHIFT), (2, LEAST_ARM), (1, LEAST_ARM), (0, LEAST_ARM)):
+    for k, least in (
+        (3, LEAST_SHIFT),
+        (4, LEAST_SHIFT),
+        (5, LEAST_SHIFT),
+        (2, LEAST_ARM),
+        (1, LEAST_ARM),
+        (0, LEAST_ARM),
+    ):
         left = columns[:, k] - basis @ (basis.T @ columns[:, k])
         length = float(np.linalg.norm(left))
         if length > least:

@@ -180,8 +180,8 @@ class Measurements(DisplayedResult):
         simulated: whether any of the readings were simulated, not measured on a machine.
         feed_mm_min: (n,) feed along the path when the point was taken, mm/min; NaN where not given.
         bar_mm: (n,) nominal length of the ball bar, from a comment of the file; NaN where not given.
-        along: (n, 3) unit vector in the station's frame along which the coordinate in x was read: the normal of a surface that was cut; NaN
-            for a reading along the station's own axes.
+        along: (n, 3) unit vector in the station's frame along which x_mm was read: the normal of a surface that was cut; NaN where the
+            coordinates are those along the station's own axes.
         tool: (n,) name of the tool that cut the point; empty where none did.
         by_tool: (n, 3) change of the reading by that tool's radius and length, in mm/mm, and by its deflection under one unit of its
             engagement; NaN where no tool cut.

@@ -121,7 +121,17 @@ def import_part(
         >>> machine = twin.Machine.load("dmu50")
         >>> measured = parts.measured(machine, "plate_of_holes", seed=1)
     """
-    table = read_measured(Path(path), sheet)
+    return measure_part(read_measured(Path(path), sheet), part, read, machine, options)
+
+
+def measure_part(
+    table: MeasuredTable,
+    part: PartDrawing,
+    read: tuple[Program, Dialect],
+    machine: Machine,
+    options: Options | None = None,
+) -> ConvertedFiles:
+    """Return measured points that were read already; see `import_part`."""
     maker = Maker(part, machine, Calibration.zero(machine), Options() if options is None else options, (1, 0))
     run = maker.run(*read)
     zero = maker.zero_mm(run)
@@ -137,9 +147,49 @@ def import_part(
     points, off_um = [points[i] for i in kept], off_um[kept]
     cut = Cut(*(getattr(cut, name)[kept] for name in Cut.__dataclass_fields__))
     data = _table(machine, table, points, off_um, cut, timed=timed)
-    turned = f"left out: {count_with_noun(left_out, 'reading')} where an axis reverses: which way it came is not known there"
-    notes = (*table.notes, *([turned] if left_out else []), *_notes(points, cut, timed=timed), *_check_fixed(data, part, points, cut))
+    turned = (
+        f"left out: {count_with_noun(left_out, 'reading')} where an axis reverses: which way it came is not known there"
+    )
+    notes = (
+        *table.notes,
+        *([turned] if left_out else []),
+        *_notes(points, cut, timed=timed),
+        *_check_fixed(data, part, points, cut),
+    )
     return ConvertedFiles(CMM, data, notes, (), (table.origin,))
+
+
+def points_of_program(
+    part: PartDrawing, read: tuple[Program, Dialect], machine: Machine, options: Options | None = None
+) -> MeasuredTable:
+    """Return points to measure: some of each feature, spread over what the program cuts, on their nominal places.
+
+    Raises `InputError`: no block makes a feature.
+    """
+    maker = Maker(part, machine, Calibration.zero(machine), Options() if options is None else options, (1, 0))
+    run = maker.run(*read)
+    zero = maker.zero_mm(run)
+    points: list[MeasuredPoint] = []
+    for name, feature in part.features.items():
+        if feature.made == "elsewhere":
+            continue
+        _, parts = maker.touching(name, run, zero, compensated=False)
+        for found, *_ in parts:
+            if found.drilled and isinstance(feature, Turned):
+                at = feature.axis_point(np.array([MIDDLE * (feature.depth or 0.0)]))
+            else:
+                count = max(FOR_FEATURE, FOR_PART // len(part.features))
+                at = found.place_mm[np.unique(np.linspace(0, len(found) - 1, count + 2).astype(int))[1:-1]]
+            for place in at:
+                x, y, z = (float(value) for value in place)
+                normal = tuple(float(value) for value in feature.signed_mm(place[None])[1][0])
+                points.append(MeasuredPoint(len(points) + 2, name, (x, y, z), (x, y, z), normal))  # type: ignore[arg-type]
+    return MeasuredTable(part.path, tuple(points), stated=True, simulated=True, origin=str(part.path))
+
+
+FOR_FEATURE: Final = 16
+FOR_PART: Final = 120
+"""Points that are planned on a feature that a tool goes over, and on all of a part's, at least."""
 
 
 def _features(table: MeasuredTable, part: PartDrawing) -> list[str]:
@@ -246,7 +296,7 @@ def _rows(
 
 
 def _seen(table: MeasuredTable, feature: Surface, point: MeasuredPoint) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Return nominal place, outward normal and deviation, mm, of what a measured point shows of a surface: one, or two of a centre."""
+    """Return nominal place, outward normal and deviation, mm, where a measured point shows a surface: once, or twice at a centre."""
 
     def refused(what: str, expected: str, value: object) -> InputError:
         return InputError(what, expected=expected, file=table.path, line=point.line, value=value)
@@ -323,7 +373,7 @@ def _nearest(
     at: tuple[np.ndarray, np.ndarray, Execution, np.ndarray, str, Kinematics],
     places: np.ndarray,
 ) -> Cut:
-    """Return the contact of one tool nearest to each of (m, 3) places, between two samples of its way; excess NaN where none is near."""
+    """Return the contact of one tool nearest to each of (m, 3) places, between two samples; excess NaN where none is near."""
     some, axis, run, zero_mm, number, nominal = at
     # One contact for each sample: that at the lower end of a flank; the places along the flank follow from the point.
     first = _lowest(found.part(np.unique(found.sample, return_index=True)[1]), axis, tool)
@@ -523,8 +573,9 @@ def _notes(points: Sequence[MeasuredPoint], cut: Cut, *, timed: bool) -> list[st
         own = names == name
         tools = ", ".join(dict.fromkeys(map(str, cut.tool[own])))
         notes.append(
-            f"{name}: {count_with_noun(int(own.sum()), 'reading')}, tool {tools}, lines {cut.line[own].min()} to {cut.line[own].max()}; "
-            f"the program itself is off by up to {np.abs(cut.excess_mm[own]).max() * 1e3:.1f} µm, which is taken off"
+            f"{name}: {count_with_noun(int(own.sum()), 'reading')}, tool {tools}, lines {cut.line[own].min()} to "
+            f"{cut.line[own].max()}; the program itself is off by up to {np.abs(cut.excess_mm[own]).max() * 1e3:.1f} µm, which is "
+            "taken off"
         )
     if not timed:
         notes.append("no times: a feed is missing, or counts time; what grows with time cannot be found")

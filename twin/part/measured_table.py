@@ -1,4 +1,4 @@
-"""Tables of measured points as programs of coordinate measuring machines export them: CSV or Excel, points in rows or characteristics in rows.
+"""Tables of measured points as programs of coordinate measuring machines export them: CSV or Excel.
 
 Points in rows: feature, nominal and measured x, y, z. Characteristics in rows: feature, the axis (X, Y, Z) and one nominal and one
 measured value, as in reports of PC-DMIS (AX, NOMINAL, MEAS) and tables of Calypso (the axis in the name of the characteristic).

@@ -14,9 +14,8 @@ import numpy as np
 import yaml
 
 from twin._common.files import write_atomic
+from twin.samples import PARTS
 
-PARTS: Final = ("circle_diamond_square", "hemisphere", "plate_of_holes", "cone_frustum")
-"""Names of the programs (``.nc``) and of the files of their features (``.part.yaml``)."""
 LENGTH: Final = 120.0
 ZERO: Final = (250.0, 225.0, -400.0 + LENGTH)
 """Axis positions at which the tip of a tool of that length is in the centre of the table's surface."""
@@ -119,7 +118,7 @@ def hemisphere() -> tuple[str, dict[str, Any]]:
 
 
 def plate_of_holes() -> tuple[str, dict[str, Any]]:
-    """Return the program and the features: 7 by 6 holes over 360 mm by 300 mm, in rows there and back, then every second again in columns."""
+    """Return the program and the features: 7 by 6 holes over 360 mm by 300 mm, every second in rows, the others in columns."""
     x, y = np.linspace(-180.0, 180.0, 7), np.linspace(-150.0, 150.0, 6)
     rows = [(i, j) for j in range(6) for i in (range(7) if j % 2 == 0 else range(6, -1, -1)) if (i + j) % 2 == 0]
     columns = [(i, j) for i in range(6, -1, -1) for j in (range(5, -1, -1) if i % 2 == 0 else range(6)) if (i + j) % 2]
@@ -137,8 +136,7 @@ def plate_of_holes() -> tuple[str, dict[str, Any]]:
             "depth": 15,
             "diameter": DRILL,
         }
-    blocks[1:1] = []
-    tolerances = [{"kind": "position", "of": "H77"[:2] + "6", "zone": 0.1, "datums": ["H11"]}]
+    tolerances = [{"kind": "position", "of": "H76", "zone": 0.1, "datums": ["H11"]}]
     return program("PLATE OF HOLES", 1, blocks), drawing(
         "plate of holes", {"number": 1, "diameter": DRILL}, features, tolerances
     )
@@ -176,7 +174,7 @@ def plain(value: Any) -> Any:
 
 def contents() -> dict[str, str]:
     """Return the files by their names."""
-    made = {name: globals()[name]() for name in PARTS[:3]}
+    made = dict(zip(PARTS, (circle_diamond_square(), hemisphere(), plate_of_holes()), strict=False))
     found = {f"{name}.nc": text for name, (text, _) in made.items()}
     drawings = {name: drawn for name, (_, drawn) in made.items()} | {"cone_frustum": cone_frustum()}
     for name, drawn in drawings.items():
