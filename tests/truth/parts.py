@@ -37,7 +37,7 @@ class Way:
 
 
 @lru_cache(maxsize=8)
-def path_of(name: str) -> Way:
+def path_of(name: str, step: float = STEP) -> Way:
     """Return the way of the tip in a bundled program of three axes."""
     at, code, feed = np.array([np.nan, np.nan, np.nan]), 0, np.nan
     points, feeds, took = [], [], []
@@ -59,7 +59,7 @@ def path_of(name: str) -> Way:
             first, last = (np.arctan2(*(p[:2] - centre)[::-1]) for p in (at, goal))
             sweep = (last - first) % (2 * np.pi) if code == 3 else -((first - last) % (2 * np.pi))
             radius = np.linalg.norm(at[:2] - centre)
-            count = max(2, int(np.ceil(abs(sweep) * radius / STEP)))
+            count = max(2, int(np.ceil(abs(sweep) * radius / step)))
             angle = first + sweep * np.arange(1, count + 1) / count
             way = np.column_stack(
                 [centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle), np.full(count, at[2])]
@@ -67,7 +67,7 @@ def path_of(name: str) -> Way:
             length = abs(sweep) * radius
         else:
             length = float(np.linalg.norm(goal - at))
-            count = max(1, int(np.ceil(length / STEP)))
+            count = max(1, int(np.ceil(length / step)))
             way = at + (goal - at) * (np.arange(1, count + 1) / count)[:, None]
         points.append(way)
         feeds.append(np.full(len(way), code > 0))

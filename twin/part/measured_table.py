@@ -37,8 +37,8 @@ NAMES: Final[Mapping[str, frozenset[str]]] = {
 AXES: Final = "xyz"
 _VECTOR: Final = {"i": "x", "j": "y", "k": "z"}
 _AXIS_IN_NAME: Final = (
-    re.compile(r"(?P<axis>[XYZxyz])[ _-]*(?:value|wert|coordinate|koordinate)?[ _:./-]+(?P<name>.+)"),
-    re.compile(r"(?P<name>.+?)[ _:./-]+(?P<axis>[XYZxyz])(?:[ _-]*(?:value|wert|coordinate|koordinate))?"),
+    re.compile(r"(?P<axis>[XYZ])(?:[ _-]*(?:value|wert|coordinate|koordinate))?[ _:./-]+(?P<name>.+)", re.IGNORECASE),
+    re.compile(r"(?P<name>.+?)[ _:./-]+(?P<axis>[XYZ])(?:[ _-]*(?:value|wert|coordinate|koordinate))?", re.IGNORECASE),
 )
 _SIZE: Final = re.compile(
     r"d|df|dm|diam.*|durchm.*|r|radius|form|tp|.*(?:diameter|durchmesser|radius|form|ebenheit|flatness).*", re.I

@@ -56,11 +56,11 @@ def contour(corners: np.ndarray, z: float) -> list[str]:
     ]
 
 
-def circle(radius: float, z: float, *, back: bool = False) -> list[str]:
+def circle(radius: float, z: float, *, back: bool = False, feed: int = 600) -> list[str]:
     """Return blocks of a full circle about the part's centre, in two arcs."""
     code = "G2" if back else "G3"
     return [
-        f"G1 {word(radius, 0.0, z)} F600",
+        f"G1 {word(radius, 0.0, z)} F{feed}",
         f"{code} {word(-radius, 0.0)} I{-radius:.3f} J0.",
         f"{code} {word(radius, 0.0)} I{radius:.3f} J0.",
     ]
@@ -107,10 +107,10 @@ def circle_diamond_square() -> tuple[str, dict[str, Any]]:
 def hemisphere() -> tuple[str, dict[str, Any]]:
     """Return the program and the features: a ball-nose tool on circles of a hemisphere of 80 mm, there and back."""
     radius, ball, blocks = 40.0, BALL / 2.0, []
-    for k, angle in enumerate(np.radians(np.arange(10.0, 86.0, 5.0))):
+    for k, angle in enumerate(np.radians(np.arange(10.0, 85.5, 1.0))):
         out, z = (radius + ball) * np.sin(angle), (radius + ball) * np.cos(angle) - ball + 20.0
         blocks += [f"G0 {word(out, 0.0)}"] if k == 0 else []
-        blocks += circle(out, z, back=k % 2 == 1)
+        blocks += circle(out, z, back=k % 2 == 1, feed=2000)
     features = {"Ball": {"kind": "sphere", "centre": [0, 0, 20], "diameter": 2 * radius}}
     tolerances = [{"kind": "profile", "of": "Ball", "zone": 0.05}]
     tool = {"number": 1, "diameter": BALL, "corner_radius": ball}
