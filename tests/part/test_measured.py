@@ -146,7 +146,7 @@ def changed(rows: list[list[str]], row: int, column: int, value: str) -> list[li
 BAD = [
     ("a feature that the part does not have", lambda rows: changed(rows, 5, 0, "Q9"), 6, "no such feature"),
     ("a measured point of another frame", lambda rows: changed(rows, 5, 4, "-70.1"), 6, "from its nominal place"),
-    ("a nominal point off the surface", lambda rows: changed(changed(rows, 5, 1, "-79.5"), 5, 4, "-79.5"), 6, "from the nominal surface"),
+    ("a nominal point off the surface", lambda rows: changed(changed(rows, 5, 1, "-79"), 5, 4, "-79"), 6, "from the nominal surface"),
     ("no number", lambda rows: changed(rows, 7, 5, "lost"), 8, "not a number"),
     ("a missing coordinate", lambda rows: changed(rows, 7, 5, ""), 8, "a coordinate is missing"),
     ("inches", lambda rows: [rows[0], *([r[0], *(str(float(v) / 25.4) for v in r[1:7]), r[7]] for r in rows[1:])], 2, "in inches"),
