@@ -189,24 +189,24 @@ def test_what_cannot_be_meant_is_refused_with_its_line(
 
 
 def test_the_centre_of_a_milled_bore_is_refused(machine: twin.Machine, tmp_path: Path) -> None:
-    """Its points were cut at different positions of the axes: their mean is no place of the machine."""
+    """The points of its wall were cut at different positions of the axes: their mean is no place of the machine."""
     (tmp_path / "cmm.csv").write_text("feature,nom x,nom y,meas x,meas y\nBore,0,0,0.001,0.002\n")
     with pytest.raises(twin.InputError, match="a tool went around"):
         imported(tmp_path / "cmm.csv", "circle_diamond_square", machine)
 
 
 def test_the_squareness_of_a_cut_part_is_that_of_the_machine(machine: twin.Machine, tmp_path: Path) -> None:
-    """Five parts with noise: the mean of the normalised deviations, and their scatter."""
+    """Three parts with noise: the mean of the normalised deviations, and their standard deviation."""
     at = truth.probed("plate_of_holes")
     dev = along(at, ("squareness", "E_C0Y", {"angle": 40.0}))
     z = []
-    for seed in range(5):
+    for seed in range(3):
         data = imported(
             truth.write(tmp_path / "cmm.csv", at, dev, U, np.random.default_rng(seed)), "plate_of_holes", machine
         )
         found = twin.identify(data, machine, wanted=lambda name: name == "E_C0Y").calibration
         z.append((found.squareness["E_C0Y"] - 40.0) / np.sqrt(found.covariance.matrix[0, 0]))
-    assert abs(np.mean(z)) < 3.0 / np.sqrt(5.0)
+    assert abs(np.mean(z)) < 3.0 / np.sqrt(3.0)
     assert np.std(z) < 2.0
 
 
@@ -218,6 +218,39 @@ def test_a_worn_tool_is_not_an_error_of_the_machine(machine: twin.Machine, tmp_p
     path = truth.write(tmp_path / "cmm.csv", at, dev + turned, U, np.random.default_rng(3), moved=False)
     found = twin.diagnose(imported(path, "circle_diamond_square", machine), machine, twin.Calibration.zero(machine))
     assert found.verdict == "consistent"
+
+
+def test_a_tool_that_gives_way_is_not_an_error_of_the_machine(machine: twin.Machine, tmp_path: Path) -> None:
+    """Deflected by 8 µm a millimetre of engagement, 0.2 to 1.5 mm from wall to wall: nothing is left if the table gives that."""
+    at = truth.probed("circle_diamond_square")
+    engaged = {name: 0.2 + 0.13 * k for k, name in enumerate(dict.fromkeys(at.feature.tolist()))}
+    width = np.array([engaged[name] for name in at.feature])
+    path = truth.write(tmp_path / "cmm.csv", at, 0.008 * width, U, np.random.default_rng(3))
+    head, *rows = path.read_text().splitlines()
+    lines = [f"{head},engagement_mm", *(f"{row},{one:.3f}" for row, one in zip(rows, width, strict=True))]
+    path.write_text("\n".join(lines) + "\n")
+    given = imported(path, "circle_diamond_square", machine)
+    assert twin.diagnose(given, machine, twin.Calibration.zero(machine)).verdict == "consistent"
+
+
+def test_commands_from_a_plan_of_parts_to_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The points that are planned can be measured, and the table of them imported; options that belong together are asked for."""
+    from twin.cli.commands import app
+
+    monkeypatch.chdir(tmp_path)
+    run = CliRunner()
+    planned = run.invoke(app, ["plan", "--part", "plate_of_holes.nc", "--tool-length", "120", "-o", "points.csv"])
+    assert planned.exit_code == 0, planned.output
+    head, *rows = csv.reader((tmp_path / "points.csv").read_text().splitlines())
+    rng = np.random.default_rng(4)
+    measured = [[*row[:7], *(f"{float(v) + U * rng.normal():.5f}" for v in row[1:4])] for row in rows]
+    (tmp_path / "cmm.csv").write_text("".join(",".join(row) + "\n" for row in [head, *measured]))
+    options = ["--program", "plate_of_holes.nc", "--features", "plate_of_holes.part.yaml", "--tool-length", "120"]
+    found = run.invoke(app, ["import", "cmm.csv", "-o", "part.csv", *options, "--json", "i.json"])
+    assert found.exit_code == 0, found.output
+    assert len(Measurements.load("part.csv", twin.Machine.load("dmu50"))) == 84
+    wrong = run.invoke(app, ["import", "cmm.csv", "-o", "x.csv", "--program", "plate_of_holes.nc"])
+    assert isinstance(wrong.exception, twin.InputError) and "belong together" in str(wrong.exception)
 
 
 CAUSES: tuple[truth.Hidden, ...] = (
@@ -253,7 +286,8 @@ def test_a_cause_is_named_or_stands_in_its_group(
     """At λ = 60, in at least 95 % over all (one of eight draws may miss); unless the part hardly shows it."""
     at = truth.probed(name)
     dev = of_strength(at, cause, LAMBDA)
-    if dev is None:
+    few = name == "plate_of_holes" and cause[0] == "pitch_error"  # at seven positions it is any curve
+    if dev is None or few:
         pytest.skip("this part does not show it")
     draws = DRAWS if cause[0] in ("positioning", "straightness") else 4
     hits = 0
