@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 import twin
 from tests.truth import parts as truth
+from tests.truth.machine import TruthMachine, run_iso
 from twin.compensation.programs.prepared import Options
 from twin.measurement.table import Measurements
 from twin.nc import read_program
@@ -251,6 +252,45 @@ def test_commands_from_a_plan_of_parts_to_a_table(tmp_path: Path, monkeypatch: p
     assert len(Measurements.load("part.csv", twin.Machine.load("dmu50"))) == 84
     wrong = run.invoke(app, ["import", "cmm.csv", "-o", "x.csv", "--program", "plate_of_holes.nc"])
     assert isinstance(wrong.exception, twin.InputError) and "belong together" in str(wrong.exception)
+
+
+def test_a_cone_cut_with_five_axes_is_that_of_the_machine(machine: twin.Machine, tmp_path: Path) -> None:
+    """The bundled cone frustum on the illustrative machine, by its pose in numpy: the positions, and nothing left with its calibration.
+
+    Points at the ends of blocks: a flank of radius 10 touches the cone at P = tip + 12 mm · axis − 10 mm · n, with n the normal of the
+    cone on the side of the tip. The program itself is off by up to 30 µm, as on the part.
+    """
+    cone = yaml.safe_load((truth.SAMPLES / "cone_frustum.part.yaml").read_text())["features"]["Cone"]
+    base, u, half = np.array(cone["point"]), np.array(cone["direction"]), np.radians(15.0)
+    real = TruthMachine(Path(machine.path).parent / "dmu50.calibration.yaml", 120.0)
+    blocks = run_iso((truth.SAMPLES / "cone_frustum.nc").read_text())
+    rows, positions = [], []
+    for code, q in blocks[10:-10:4]:
+        nominal = real.pose(q, real=False)
+        tip, axis = nominal[:3, 3], nominal[:3, 2]
+        away = tip - base - (tip - base) @ u * u
+        n = np.cos(half) * away / np.linalg.norm(away) + np.sin(half) * u
+        if code != "G1" or abs(n @ axis) > 1e-3:
+            continue
+        at = tip + 12.0 * axis - 10.0 * n
+        beside = at - base - (at - base) @ u * u
+        off = (np.linalg.norm(beside) - (81.032 / 2.0 - (at - base) @ u * np.tan(half))) * np.cos(half)
+        moved = (real.pose(q) @ np.linalg.solve(nominal, np.append(at, 1.0)))[:3]
+        rows.append(["Cone", *(at - off * n), *(at - off * n + (off + (moved - at) @ n) * n)])
+        positions.append(q)
+    assert len(rows) > 60
+    rng = np.random.default_rng(5)
+    noisy = [[row[0], *row[1:4], *(np.array(row[4:]) + U * rng.normal(size=3)), U] for row in rows]
+    (tmp_path / "cmm.csv").write_text(
+        "name,nom x,nom y,nom z,ist x,ist y,ist z,u [mm]\n" + "".join(",".join(map(str, row)) + "\n" for row in noisy)
+    )
+    data = imported(tmp_path / "cmm.csv", "cone_frustum", machine)
+    assert len(data) > 0.9 * len(rows)
+    found = data.positions - np.array(positions)[data.lines - 2]
+    assert np.abs(found).max() < 0.3  # mm and degrees: the point of a twisted line contact is not sharp along the way
+    off_mm = [np.linalg.norm(np.array(row[4:]) - row[1:4]) for row in rows]
+    assert np.ptp(off_mm) > 0.03
+    assert twin.diagnose(data, machine, twin.Calibration.default(machine)).verdict == "consistent"
 
 
 CAUSES: tuple[truth.Hidden, ...] = (
