@@ -38,7 +38,7 @@ def program(title: str, tool: int, blocks: Iterable[str]) -> str:
         "G21 G17 G40 G90 G94",
         f"T{tool} M6",
     ]
-    lines = [*head, "S8000 M3", "G0 B0. C0.", *blocks, f"G0 Z{SAFE + ZERO[2]:.3f}", "M5", "M30"]
+    lines = [*head, "S8000 M3", "G0 B0. C0.", f"G0 {word(0.0, 0.0)}", *blocks, f"G0 Z{SAFE + ZERO[2]:.3f}", "M5", "M30"]
     return "%\n" + "".join(f"{line}\n" for line in lines) + "%\n"
 
 
