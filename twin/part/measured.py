@@ -115,11 +115,6 @@ def import_part(
     Raises:
         InputError: with file, line and value: an unknown feature; a nominal point off its surface, or a measured one far from it; a
             surface that no block of the program cuts there; units in doubt; too few points to show anything but the set-up.
-
-    Examples:
-        >>> from twin.samples import parts
-        >>> machine = twin.Machine.load("dmu50")
-        >>> measured = parts.measured(machine, "plate_of_holes", seed=1)
     """
     return measure_part(read_measured(Path(path), sheet), part, read, machine, options)
 
