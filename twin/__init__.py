@@ -71,8 +71,8 @@ if TYPE_CHECKING:
     from twin.nc.blocks import Program as Program
     from twin.nc.dialect import Dialect as Dialect
     from twin.part.features import PartDrawing
-    from twin.part.forecast import PartForecast as PartForecast
     from twin.part.forecast import forecast
+    from twin.part.forecasted import PartForecast as PartForecast
     from twin.planning import (
         InstrumentSizes,
         Kit,

@@ -20,6 +20,7 @@ INSTRUMENTS: Final = {
     "probe": "points:TouchProbe",
     "r-test": "points:RTest",
     "ball-bar": "lengths:BallBar",
+    "cmm": "lengths:CMM",
 }
 """Instruments whose readings a measurement table can contain: `twin.measurement.instruments`."""
 MEASURED_FORMATS: Final = {

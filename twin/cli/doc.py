@@ -18,6 +18,7 @@ PAGES: Final = (
         "machine",
         "programs",
         "forecast",
+        "parts",
         "import",
         "convert",
         "identify",

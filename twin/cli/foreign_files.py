@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -150,6 +150,15 @@ ColumnsOption = Annotated[
 SheetOption = Annotated[
     str | None, typer.Option("--sheet", help="Sheet of a workbook; default: the only one that is not empty.")
 ]
+PartProgramOption = Annotated[
+    Path | None,
+    typer.Option("--program", help="Program that cut the part, with --features.", autocompletion=complete.programs),
+]
+PartFeaturesOption = Annotated[
+    Path | None,
+    typer.Option("--features", help="Features and tools of a measured part (.yaml), with --program."),
+    EXISTING,
+]
 MatchedPlanOption = Annotated[
     Path | None,
     typer.Option(
@@ -164,6 +173,7 @@ MatchedPlanOption = Annotated[
     "twin import shop_table.csv -o measured.csv",
     "twin import export.csv -o measured.csv --columns export.columns.yaml",
     "twin import export.xlsx -o measured.csv --sheet Messung --plan plan.csv --json imported.json",
+    "twin import cmm.csv -o measured.csv --program part.nc --features part.yaml --tool-length 120",
     name="import",
 )
 def import_(
@@ -173,14 +183,36 @@ def import_(
     sheet: SheetOption = None,
     plan: MatchedPlanOption = None,
     machine: options.MachineOption = DEFAULT,
+    program: PartProgramOption = None,
+    features: PartFeaturesOption = None,
+    mode: options.ModeOption = options.Mode.axis,
+    language: options.LanguageOption = None,
+    tool_length: options.ToolOption = None,
+    work_offset: options.OffsetOption = None,
+    work_origin: options.OriginOption = None,
+    offsets: options.OffsetsOption = None,
+    tools: options.ToolsOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Import a table of measured points: any CSV or Excel workbook, or a file that `twin convert` reads without its options.
+
+    With --program and --features, the table is that of a part measured on a coordinate measuring machine: each point becomes a
+    reading of the machine where the program cut it (`twin doc parts`).
 
     Delimiter, decimal sign, encoding, units and the meaning of the columns are found from the file. If nothing is assumed, the
     measurement table is written. Otherwise only a mapping is written, for a person to confirm, and the exit status is 2; the same
     command with --columns then applies it. `twin doc import` lists the words that are known.
     """
+    if program is not None or features is not None:
+        if program is None or features is None or columns is not None or plan is not None:
+            raise InputError(
+                "--program and --features belong together",
+                expected="both, without --columns and --plan",
+                value=program or features,
+            )
+        setup = work_offset, work_origin, offsets, tools
+        cut = (program, features), machine, language, mode, tool_length, setup
+        return _measured_part(file, sheet, output, *cut)
     path = options.bundled_sample(file, "table", "table of measured points", [table.name for table in TABLES])
     from twin.measurement.formats import other_format
     from twin.measurement.importing import import_table as run_import
@@ -201,6 +233,31 @@ def import_(
     if given is not None and proposal.exists():  # the lines given were completed
         proposal = output.with_name(f"{output.name}.columns.completed.yaml")
     return _proposed(imported, proposal, output, [sheet, plan, machine])
+
+
+def _measured_part(
+    file: Path,
+    sheet: str | None,
+    output: Path,
+    cut: tuple[Path, Path],
+    machine: str,
+    language: str | None,
+    mode: options.Mode,
+    *run: Any,
+) -> CommandResult:
+    """Import a part that was measured on a coordinate measuring machine."""
+    from twin.compensation.programs.prepared import Options
+    from twin.nc import read_program
+    from twin.part.features import PartDrawing
+    from twin.part.measured import import_part
+
+    loaded, (tool_length, setup) = options.machine(machine), run
+    program, features = cut
+    given = Options(setup=options.setup(loaded, *setup), tool_length_mm=tool_length, tcp=mode is options.Mode.tcp)
+    part = PartDrawing(options.part_file(features))
+    found = import_part(file, part, read_program(program, language), loaded, given, sheet=sheet)
+    found.save(output, loaded)
+    return CommandResult(found.to_text(), found.to_dict)
 
 
 def _converted(path: Path, machine: Machine, plan: Path | None, output: Path) -> CommandResult:

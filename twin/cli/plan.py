@@ -229,6 +229,14 @@ SizeOption = Annotated[
     str | None,
     typer.Option("--size", help='Lengths along both axes in mm, or of the artefact, with --artefact: "400,300".'),
 ]
+PartOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--part",
+        help="Program of a test part (its features: NAME.part.yaml), or `all` bundled ones: which shows the errors that matter most; "
+        "-o: the points to measure.",
+    ),
+]
 ProgramOption = Annotated[
     Path | None,
     typer.Option(
@@ -247,6 +255,7 @@ ProgramOption = Annotated[
     "twin plan --confirm tables -o check.csv --tool-length 120 --program check.mpf",
     "twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45",
     "twin plan --drift spindle --instrument displacement --highest-rpm 12000 --minutes 300 -o spindle.csv --program spindle.mpf",
+    "twin plan --part all --tool-length 120 -o points.csv",
     "twin plan --artefact diagonals --plane XY -m router.yaml -o diagonals.csv",
     'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60" --program probe.ngc',
 )
@@ -277,6 +286,7 @@ def plan(
     artefact: ArtefactOption = None,
     plane: PlaneOption = None,
     size: SizeOption = None,
+    part: PartOption = None,
     tool_length: options.ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses, or of the speeds.")] = 0,
     json_file: JsonOption = None,
@@ -298,9 +308,10 @@ def plan(
     from twin.planning.sequences.specification import InstrumentSizes
 
     loaded = options.machine(machine)
-    if artefact is not None or plane is not None or size is not None:
-        others = (causes, reduce, judged, sequence, instrument, drift, confirm, calibration, kit, minutes, program_file)
-        return _with_artefact(artefact, loaded, plane, size, output, alone=not any(others))
+    if part or artefact is not None or plane is not None or size is not None:
+        others = (causes, reduce, judged, sequence, instrument, drift, confirm, kit, minutes, program_file)
+        sheet = artefact, loaded, plane, size, output
+        return _for_part_or_artefact(part, sheet, calibration, tool_length, alone=not any(others))
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
     if confirm is not None:
         sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)
@@ -321,6 +332,47 @@ def plan(
     if output is not None:
         made.save(output)
     return CommandResult(made.to_text(), made.to_dict, met=made.complete)
+
+
+def _for_part_or_artefact(
+    part: list[str] | None, sheet: Any, calibration: Path | None, tool_length_mm: float | None, *, alone: bool
+) -> CommandResult:
+    """Compare test parts, or write the sheet of an artefact."""
+    artefact, loaded, plane, size, output = sheet
+    if not part:
+        return _with_artefact(*sheet, alone=alone and calibration is None)
+    errors = options.calibration_of(calibration, loaded)
+    return _with_parts(part, loaded, errors, tool_length_mm, output, alone=alone and not (artefact or plane or size))
+
+
+def _with_parts(
+    names: list[str],
+    machine: Machine,
+    errors: Calibration,
+    tool_length_mm: float | None,
+    output: Path | None,
+    *,
+    alone: bool,
+) -> CommandResult:
+    """Compare test parts, and write the points to measure of the one that shows most."""
+    from twin._common.bundled import find_program
+    from twin.compensation.programs.prepared import Options
+    from twin.planning.parts import compare_parts
+    from twin.samples import PARTS
+
+    if not alone or output is None:
+        raise InputError(
+            "--part plans by itself", expected="only -m, -c, --tool-length and -o beside it", value=names[0]
+        )
+    if names == ["all"]:
+        names = [f"{name}.nc" for name in PARTS]
+    programs = [find_program(name) for name in names]
+    parts = [(program, options.part_file(program.with_suffix(".part.yaml"))) for program in programs]
+    with progress_bar() as bar:
+        bar("test parts", 0.0)
+        found = compare_parts(parts, machine, errors, Options(tool_length_mm=tool_length_mm))
+    found.parts[0].save(output)
+    return CommandResult(found.to_text(), found.to_dict)
 
 
 def _with_artefact(

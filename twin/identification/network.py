@@ -30,7 +30,7 @@ from twin.machine.machine import Axis, Machine
 from twin.measurement.columns import CARRIERS
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.observation import observation_of, of_angles
-from twin.measurement.set_up import StationsAndTargets
+from twin.measurement.set_up import StationsAndTargets, reading_frames
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.datum.conditions import along, turning_patterns
@@ -481,6 +481,7 @@ class Network:
         self.whitening = read_only(_whitening(self.covariance, self.read))
         self._observation = observation_of(machine)
         self._angles = of_angles(data)
+        self._frames = reading_frames(data) if np.isfinite(data.along).any() else None
         self._q = np.asarray(data.positions) * machine.scale
         known = Calibration.zero(machine) if base is None else base
         self._base = self._observation.errors(known, data, check=check)
@@ -554,11 +555,17 @@ class Network:
         station = self._order(setup)[0][rows]
         return np.einsum("nji,nj->ni", setup.rotation[station], points - setup.origin[station])
 
+    def _along(self, seen: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return points of a station's frame by their coordinates along the directions of the readings."""
+        return seen if self._frames is None else np.einsum("nij,nj->ni", self._frames[rows], seen)
+
     def _residuals(self, seen: np.ndarray, setup: StationsAndTargets, rows: np.ndarray) -> np.ndarray:
         predicted = np.empty_like(seen)
         for instrument, some in self.instruments.groups(self.data.station[rows]):
-            predicted[some] = np.nan_to_num(instrument.read(seen[some]), nan=0.0)
+            predicted[some] = np.nan_to_num(instrument.read(self._along(seen[some], rows[some])), nan=0.0)
         predicted[:, 0] -= setup.dead[self._order(setup)[0][rows]]
+        if setup.tools:
+            predicted[:, 0] += setup.tool_offset(self.data, rows)
         return np.where(self.read[rows], self.readings[rows] - predicted, 0.0)
 
     def view(self, theta: np.ndarray, setup: StationsAndTargets, rows: np.ndarray) -> LinearisedReadings:
@@ -589,7 +596,9 @@ class Network:
         whitening = self.whitening[rows]
         by_seen = np.empty_like(whitening)
         for instrument, some in self.instruments.groups(self.data.station[rows]):
-            by_seen[some] = whitening[some] @ instrument.jacobian(seen[some])
+            by_seen[some] = whitening[some] @ instrument.jacobian(self._along(seen[some], rows[some]))
+            if self._frames is not None:
+                by_seen[some] = by_seen[some] @ self._frames[rows[some]]
         by_ride = by_seen @ setup.rotation[station].transpose(0, 2, 1)
         on, rides = (
             np.stack([of[rows] == side for side in CARRIERS], axis=1)
@@ -647,12 +656,15 @@ class Network:
         """Write the derivatives with respect to the set-up's unknowns into (k, 3, unknowns) of zeros."""
         station, target = (of[view.rows] for of in self._order(setup))
         for kind, i, at in setup.slots:
+            if kind == "tool":
+                into[:, :, at] = view.whitening[:, :, :1] * setup.by_tool(self.data, i)[view.rows, None]
+                continue
             of = np.flatnonzero((target if kind == "place" else station) == i)
             # y = Rᵀ(p − o); R → R·Exp(φ): dy = y × φ.
             if kind == "turn":
-                into[of, :, at] = view.by_seen[of] @ cross_matrix(view.seen[of])
+                into[of, :, at] = (view.by_seen[of] @ cross_matrix(view.seen[of]))[:, :, setup.acts(kind, i)]
             elif kind == "origin":
-                into[of, :, at] = -view.by_ride[of]
+                into[of, :, at] = -view.by_ride[of][:, :, setup.acts(kind, i)]
             elif kind == "dead path":
                 into[of, :, at] = -view.whitening[of][:, :, :1]
             else:

@@ -14,7 +14,7 @@ from twin._common.arrays import read_only
 from twin._common.messages import Message
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.records import json_form
-from twin._common.units import MM, URAD, count_with_noun
+from twin._common.units import MM, UM, URAD, count_with_noun
 from twin.display import Cell, note, table
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.display.results import Display, DisplayedResult
@@ -26,7 +26,7 @@ from twin.identification.solve import FitSolution, FitStatistics, Spread, misfit
 from twin.identification.unidentified import ConstantErrors, InstrumentShare, Unidentified
 from twin.machine.chain import frame_pose
 from twin.measurement.columns import RowNote, assumptions, grouped_notes
-from twin.measurement.set_up import StationsAndTargets
+from twin.measurement.set_up import TOOL_SIZES, StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MisfitEntry
@@ -275,6 +275,17 @@ class Identification(DisplayedResult):
             rows.append({"name": name, "unit": unit, "value": number, "u": u_number})
         return rows
 
+    def _tools(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Return deviation and standard uncertainty, µm, of the sizes of each tool that cut a measured part."""
+        sizes: dict[str, dict[str, dict[str, float]]] = {}
+        for i, name in enumerate(self.setup.tools):
+            sizes[name] = {
+                size: {"value_um": float(self.setup.tool[i, k]) / UM, "u_um": self.setup_u[f"tool {name} {size}"] / UM}
+                for k, size in enumerate(TOOL_SIZES)
+                if self.setup.tool_acts[i, k]
+            }
+        return sizes
+
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON (``schema: twin.identification/1``)."""
         order, table = self.setup, TableTilt.of(self.calibration)
@@ -313,6 +324,7 @@ class Identification(DisplayedResult):
                 name: {"place_mm": order.place[i] / MM, "known": order.target_known[i]}
                 for i, name in enumerate(order.targets)
             },
+            **({"tools": self._tools()} if self.setup.tools else {}),
             "misfit": self._misfit(),
             "noise": {"contradicted_by_repeats": self.noise.contradicted, "assumed": self.noise.assumed},
             "orders": {
@@ -408,6 +420,11 @@ class Identification(DisplayedResult):
         lines += [_row_text(row) for row in self.rows()]
         table = TableTilt.of(self.calibration)
         lines += [] if table is None else [f"  {table.to_text(COVERAGE_FACTOR)}"]
+        for name, sizes in self._tools().items():
+            said = (
+                f"{size} {one['value_um']:+.1f} ± {COVERAGE_FACTOR * one['u_um']:.1f} µm" for size, one in sizes.items()
+            )
+            lines.append(f"  tool {name} differs from its nominal size: {', '.join(said)}")
         lines += [
             "  The degree is chosen by prediction of held-out data; 0: nothing above the noise. The intervals include possible",
             "  components of higher degree.",

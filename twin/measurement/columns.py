@@ -25,6 +25,8 @@ POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
 PLACE_COLUMNS: Final = tuple(f"place_{name}" for name in POINT_COLUMNS)
 STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"station_{a}_deg" for a in "abc"))
 ANGLE_COLUMNS: Final = ("a_urad", "b_urad")
+ALONG_COLUMNS: Final = ("along_x", "along_y", "along_z")
+BY_TOOL_COLUMNS: Final = ("by_radius", "by_length", "by_force")
 CONTACT_COLUMNS: Final = tuple(f"contact_{name}" for name in POINT_COLUMNS)
 ANGULAR: Final = "level"
 """Instrument of the rows that give angles and name none."""
@@ -92,6 +94,9 @@ def table_columns(machine: Machine) -> tuple[TableColumns, ...]:
         TableColumns("temperature_degC", ()),
         TableColumns("feed_mm_min", ("feed_mm_min",)),
         TableColumns("u_mm", tuple(f"u_{name}" for name in POINT_COLUMNS)),
+        TableColumns("along", ALONG_COLUMNS),
+        TableColumns("tool", ("tool",), "words"),
+        TableColumns("by_tool", BY_TOOL_COLUMNS),
     )
 
 

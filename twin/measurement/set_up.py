@@ -9,7 +9,7 @@ tracking interferometer (eq. 26 of the thesis, multilateration) are linear in th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, Literal, NamedTuple, final
 
@@ -34,13 +34,22 @@ IN_PLANE_M: Final = 1e-4
 """Largest distance from a plane, m, at which points are in it: times such a turn 0.1 µm."""
 
 
+ALIGNED_TURN: Final = 1e-3
+ALIGNED_SHIFT: Final = 5e-3
+"""The same, rad and m, of a part whose program and measurement have nearly the same frame."""
+TOOL_PLAUSIBLE: Final = 1e-4
+"""Prior standard deviation of a tool's radius, of its length, and of its deflection, m."""
+TOOL_SIZES: Final = ("radius", "length", "deflection")
+SlotKind = Literal["turn", "origin", "dead path", "place", "tool"]
+
+
 class Slot(NamedTuple):
     """Unknown parameters of one kind of one station or target.
 
-    ``kind``: ``turn``, ``origin`` and ``dead path`` of a station, ``place`` of a target.
+    ``kind``: ``turn``, ``origin`` and ``dead path`` of a station, ``place`` of a target, ``tool``: sizes of a tool that cut.
     """
 
-    kind: Literal["turn", "origin", "dead path", "place"]
+    kind: SlotKind
     number: int
     at: slice
 
@@ -59,6 +68,11 @@ class StationsAndTargets:
         lines: (targets,) whether a target is a line of 1 m that turns with a level; its unknowns are x and y of its end.
         level: (stations, 3) turns out of a plane that the readings are in, where the coordinate across it was not read. They show to
             second order only: two of them as a squareness, one as a scale. The plane is taken to be that of the points.
+        tools: names of the tools that cut measured points.
+        tool: (tools, 3) deviation of their radius and length, m, and deflection by one unit of engagement, m (`TOOL_SIZES`).
+        tool_acts: (tools, 3) whether any reading depends on it.
+        station_acts: (stations, 6) whether each component of a station's rotation and origin is unknown. A motion of a part that its
+            points do not show stays zero: as a large one it would deform what they show.
         shift: (unknowns,) change of each parameter by `moved` since its initial value, metres and radians; None for zero.
     """
 
@@ -73,6 +87,10 @@ class StationsAndTargets:
     reads: tuple[InstrumentSpecification, ...]
     lines: np.ndarray
     level: np.ndarray
+    tools: tuple[str, ...] = ()
+    tool: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    tool_acts: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), dtype=bool))
+    station_acts: np.ndarray = field(default_factory=lambda: np.zeros((0, 6), dtype=bool))
     shift: np.ndarray | None = None
 
     @classmethod
@@ -91,7 +109,16 @@ class StationsAndTargets:
         lines = np.isin(targets, data.target[of_angles(data)].astype(str))
         place[lines & ~target_known] = VERTICAL_M
         level = np.zeros((len(stations), 3), dtype=bool)
-        return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads, lines, level)
+        setup = cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads, lines, level)
+        tools = tuple(name for name in dict.fromkeys(data.tool.tolist()) if name)
+        acts = [(np.nan_to_num(data.by_tool[data.tool == name]) != 0.0).any(axis=0) for name in tools]
+        return replace(
+            setup,
+            tools=tools,
+            tool=np.zeros((len(tools), 3)),
+            tool_acts=np.array(acts, dtype=bool).reshape(-1, 3),
+            station_acts=np.ones((len(stations), 6), dtype=bool),
+        )
 
     def of(self, data: Measurements) -> StationsAndTargets:
         """Return the stations and targets of other data, with the values of this set-up.
@@ -103,6 +130,7 @@ class StationsAndTargets:
             raise KeyError(name)
         stations = [self.stations.index(name) for name in named[0]]
         targets = [self.targets.index(name) for name in named[1]]
+        tools = [i for i, name in enumerate(self.tools) if np.any(data.tool == name)]
         return replace(
             self,
             stations=tuple(named[0]),
@@ -116,6 +144,10 @@ class StationsAndTargets:
             place=self.place[targets],
             station_known=self.station_known[stations],
             target_known=self.target_known[targets],
+            tools=tuple(self.tools[i] for i in tools),
+            tool=self.tool[tools],
+            tool_acts=self.tool_acts[tools],
+            station_acts=self.station_acts[stations],
             shift=None,
         )
 
@@ -135,20 +167,40 @@ class StationsAndTargets:
         """Unknown parameters of each station, then of each target."""
         slots: list[Slot] = []
 
-        def add(kind: Literal["turn", "origin", "dead path", "place"], number: int, count: int = 3) -> None:
+        def add(kind: SlotKind, number: int, count: int = 3) -> None:
             start = slots[-1].at.stop if slots else 0
+            if not count:
+                return
             slots.append(Slot(kind, number, slice(start, start + count)))
 
         for i, (known, reads) in enumerate(zip(self.station_known.tolist(), self.reads, strict=True)):
             if reads.turns and not known:
-                add("turn", i)
+                add("turn", i, int(self.acts("turn", i).sum()))
             if not known:
-                add("origin", i)
+                add("origin", i, int(self.acts("origin", i).sum()))
             if reads.free_start:
                 add("dead path", i, 1)
         for i in np.flatnonzero(~self.target_known).tolist():
             add("place", i, 2 if self.lines[i] else 3)
+        for i, acts in enumerate(self.tool_acts):
+            add("tool", i, int(np.count_nonzero(acts)))
         return tuple(slots)
+
+    def acts(self, kind: SlotKind, number: int) -> np.ndarray:
+        """Return (3,) which components of a station's rotation (``turn``) or origin are unknown."""
+        return self.station_acts[number, :3] if kind == "turn" else self.station_acts[number, 3:]
+
+    def by_tool(self, data: Measurements, number: int) -> np.ndarray:
+        """Return (n, k) change of the readings by the k sizes of one tool that act; zero for points that it did not cut."""
+        own = (data.tool == self.tools[number])[:, None]
+        return np.where(own, np.nan_to_num(data.by_tool), 0.0)[:, self.tool_acts[number]]
+
+    def tool_offset(self, data: Measurements, rows: np.ndarray) -> np.ndarray:
+        """Return (k,) the change of some readings by the sizes of the tools that cut, m."""
+        offset = np.zeros(len(rows))
+        for name, sizes in zip(self.tools, self.tool, strict=True):
+            offset += np.where(data.tool[rows] == name, np.nan_to_num(data.by_tool[rows]) @ sizes, 0.0)
+        return offset
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -158,8 +210,17 @@ class StationsAndTargets:
             if kind == "dead path":
                 names.append(f"station {self.stations[i]} dead path")
                 continue
+            if kind == "tool":
+                names += [
+                    f"tool {self.tools[i]} {size}"
+                    for size, acts in zip(TOOL_SIZES, self.tool_acts[i], strict=True)
+                    if acts
+                ]
+                continue
             what = f"target {self.targets[i]}" if kind == "place" else f"station {self.stations[i]}"
             axes = "xyz"[: at.stop - at.start]
+            if kind in ("turn", "origin"):
+                axes = "".join(axis for axis, one in zip("xyz", self.acts(kind, i), strict=True) if one)
             names += [f"{what} turn {axis}" if kind == "turn" else f"{what} {axis}" for axis in axes]
         return tuple(names)
 
@@ -168,27 +229,35 @@ class StationsAndTargets:
         """Prior standard deviation of each unknown parameter, (unknowns,), metres and radians."""
         # The factor allows for a common shift of all targets of that size.
         place = PLACE_PLAUSIBLE * float(np.sqrt(max(int(np.count_nonzero(~self.target_known)), 1)))
-        kinds = {"place": place}
-        plausible = np.array(
-            [kinds.get(kind, STATION_PLAUSIBLE) for kind, _, at in self.slots for _ in range(at.stop - at.start)]
-        )
+        kinds = {"place": place, "turn": TURN_PLAUSIBLE, "tool": TOOL_PLAUSIBLE}
+        sizes: list[float] = []
         for kind, i, at in self.slots:
-            if kind == "turn":
-                plausible[at] = np.where(self.level[i], LEVEL_PLAUSIBLE, TURN_PLAUSIBLE)
-        return plausible
+            size = [kinds.get(kind, STATION_PLAUSIBLE)] * (at.stop - at.start)
+            if kind in ("turn", "origin") and self.reads[i].aligned:
+                size = [ALIGNED_TURN if kind == "turn" else ALIGNED_SHIFT] * (at.stop - at.start)
+            elif kind == "turn":
+                size = np.where(self.level[i], LEVEL_PLAUSIBLE, TURN_PLAUSIBLE).tolist()
+            sizes += size
+        return np.array(sizes)
 
     def moved(self, step: np.ndarray) -> StationsAndTargets:
         """Return the set-up after a step; rotations are rotation vectors in the station's own frame."""
-        rotation = np.array(self.rotation)
+        rotation, tool = np.array(self.rotation), np.array(self.tool)
         shifted = {"origin": np.array(self.origin), "dead path": np.array(self.dead), "place": np.array(self.place)}
         for kind, i, at in self.slots:
             if kind == "turn":
-                rotation[i] = rotation[i] @ rotation_exp(step[at])
+                turn = np.zeros(3)
+                turn[self.acts(kind, i)] = step[at]
+                rotation[i] = rotation[i] @ rotation_exp(turn)
+            elif kind == "origin":
+                shifted[kind][i, self.acts(kind, i)] += step[at]
+            elif kind == "tool":
+                tool[i, self.tool_acts[i]] += step[at]
             else:
                 shifted[kind].reshape(len(shifted[kind]), -1)[i, : at.stop - at.start] += step[at]
         shift = step if self.shift is None else self.shift + step
         origin, dead, place = shifted.values()
-        return replace(self, rotation=rotation, origin=origin, dead=dead, place=place, shift=shift)
+        return replace(self, rotation=rotation, origin=origin, dead=dead, place=place, tool=tool, shift=shift)
 
 
 def _first_rows(names: np.ndarray) -> tuple[tuple[str, ...], list[int]]:
@@ -207,6 +276,9 @@ LARGEST_MISFIT_M: Final = 5e-3
 """Deviation of a reading from the nominal machine, m, above which the row is wrong: no machine tool has such errors."""
 RELATIVE_RANK: Final = 1e-3
 """Relative singular value below which the readings do not determine a direction."""
+LEAST_ARM: Final = 2e-3
+LEAST_SHIFT: Final = 1e-3
+"""Change of all readings by a rotation of a part, m/rad, and by a shift, below which they do not determine it."""
 SWEEPS: Final = 60
 LARGEST_TURN: Final = 0.5
 """Largest rotation in one step, rad."""
@@ -227,11 +299,15 @@ def initial_setup(
     """
     setup = StationsAndTargets.from_table(data, instruments)
     kinds = np.array([read.reads if read.reads in ("length", "angle") else "point" for read in setup.reads])
+    directed = [np.isfinite(data.along[data.station == name]).any() for name in setup.stations]
+    kinds = np.where(directed, "along", kinds)
     if len(set(kinds)) > 1:
         return _by_kind(data, instruments, carried, setup, kinds)
     station, target = setup.indices(data)
     if kinds[0] == "angle":
         return _by_angles(setup, carried, data, station)
+    if kinds[0] == "along":
+        return _by_directions(setup, carried, data, station, target)
     if kinds[0] == "length":
         length = np.where(np.isfinite(data.point_mm[:, 0]), data.point_mm[:, 0], 0.0) * MM
         return _by_lengths(setup, carried, length, station, target)
@@ -287,7 +363,7 @@ def _by_kind(
     rotation, origin, level = np.array(setup.rotation), np.array(setup.origin), np.array(setup.level)
     dead, place = np.array(setup.dead), np.array(setup.place)
     miss, placed = np.zeros(len(data)), set()
-    for kind in ("point", "length", "angle"):
+    for kind in ("point", "length", "angle", "along"):
         names = np.array(setup.stations)[kinds == kind]
         if not len(names):
             continue
@@ -312,6 +388,65 @@ def _by_angles(
     origin = np.where(setup.station_known[:, None], setup.origin, origin)
     miss = np.linalg.norm(np.where(np.isfinite(data.point_mm), off - origin[station], 0.0), axis=1)
     return replace(setup, origin=origin), miss
+
+
+def reading_frames(data: Measurements) -> np.ndarray:
+    """Return (n, 3, 3) the directions, in the station's frame, along which the coordinates of each reading were read."""
+    frames = np.tile(np.eye(3), (len(data), 1, 1))
+    for row in np.flatnonzero(np.isfinite(data.along).all(axis=1)):
+        first = data.along[row] / np.linalg.norm(data.along[row])
+        second = np.cross(first, np.eye(3)[np.abs(first).argmin()])
+        second /= np.linalg.norm(second)
+        frames[row] = first, second, np.cross(first, second)
+    return frames
+
+
+def _by_directions(
+    setup: StationsAndTargets, carried: CarriedTargets, data: Measurements, station: np.ndarray, target: np.ndarray
+) -> tuple[StationsAndTargets, np.ndarray]:
+    """Return the set-up of parts, whose frames are nearly those on which they ride, from coordinates along directions; robust."""
+    points, along = carried.at(setup.place[target]), reading_frames(data)[:, 0]
+    reading = np.nan_to_num(data.point_mm[:, 0]) * MM
+    rotation, origin = np.array(setup.rotation), np.array(setup.origin)
+    misfit, acts = np.zeros(len(data)), np.array(setup.station_acts)
+    for i in range(len(setup.stations)):
+        rows = np.flatnonzero(station == i)
+        acts[i] = _determined(np.hstack([np.cross(along[rows], points[rows] - points[rows].mean(axis=0)), along[rows]]))
+        for _ in range(SWEEPS):
+            seen = (points[rows] - origin[i]) @ rotation[i]
+            residual = reading[rows] - np.einsum("ni,ni->n", along[rows], seen)
+            misfit[rows] = np.abs(residual)
+            if setup.station_known[i]:
+                break
+            weight = np.sqrt(FLOOR / np.maximum(misfit[rows], FLOOR))
+            columns = np.hstack([np.cross(along[rows], seen), -along[rows] @ rotation[i].T]) * weight[:, None]
+            scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+            step = np.zeros(6)
+            own = acts[i]
+            step[own] = np.linalg.lstsq((columns / scale)[:, own], residual * weight, rcond=1e-12)[0] / scale[own]
+            step[:3] *= min(1.0, LARGEST_TURN / max(float(np.abs(step[:3]).max()), 1e-12))
+            rotation[i], origin[i] = rotation[i] @ rotation_exp(step[:3]), origin[i] + step[3:]
+            if np.abs(step).max() < LEAST_ROTATION:
+                break
+    return replace(setup, rotation=rotation, origin=origin, station_acts=acts), misfit
+
+
+def _determined(columns: np.ndarray) -> np.ndarray:
+    """Return (6,) which motions of a part its points determine, from derivatives (n, 6) by rotation and origin."""
+    basis, acts = np.zeros((len(columns), 0)), np.zeros(6, dtype=bool)
+    for k, least in (
+        (3, LEAST_SHIFT),
+        (4, LEAST_SHIFT),
+        (5, LEAST_SHIFT),
+        (2, LEAST_ARM),
+        (1, LEAST_ARM),
+        (0, LEAST_ARM),
+    ):
+        left = columns[:, k] - basis @ (basis.T @ columns[:, k])
+        length = float(np.linalg.norm(left))
+        if length > least:
+            basis, acts[k] = np.column_stack([basis, left / length]), True
+    return acts
 
 
 @final

@@ -17,6 +17,7 @@ from twin.machine.machine import Machine
 from twin.measurement.columns import outside_axis_range
 from twin.measurement.instruments import SIDES, STANDARD_AIR, Air, Instrument, instrument_named, length_scale
 from twin.measurement.observation import Observation
+from twin.measurement.set_up import reading_frames
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.numerics.spatial import rotation_exp
@@ -78,6 +79,9 @@ class Placement(Result):
             pose = plan.station_pose[plan.station == name][0]
             if np.isfinite(pose).all():
                 stations[name] = Station.at(pose)
+                continue
+            if np.isfinite(plan.along[plan.station == name]).any():  # a part: where its program says
+                stations[name] = Station((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
                 continue
             azimuth = np.radians(-90.0 + 55.0 * ((k + 1) // 2) * (-1) ** k)
             origin = STATION_DISTANCE_MM * np.array([np.cos(azimuth), np.sin(azimuth), 0.15 + 0.25 * k])
@@ -223,19 +227,20 @@ def simulate(
     plan = _probed(machine, calibration, plan, placed, named, rng if noise else None)
     places = np.array([placed.places_mm[target] for target in plan.target])
     base = Observation(machine).points_mm(calibration, plan, places)
-    readings = np.empty((len(plan), 3))
+    readings, frames = np.empty((len(plan), 3)), reading_frames(plan)
     for name, station in placed.stations.items():
         rows, reader = plan.station == name, named.get(name, instrument)
         drift = around.drift_mm(plan, name) if name in around.drift_um_per_h else 0.0
         seen = station.to_station_mm(base[rows] - drift) * MM
         # In constant air the dead path of an interferometer is never counted: the factor applies to the reading, not the distance.
+        seen = np.einsum("nij,nj->ni", frames[rows], seen)
         found = reader.read(seen) * (around.scale if "refraction_scale" in reader.specification.effects else 1.0)
         found += reader.noise(seen, rng) if noise else 0.0
         readings[rows] = 0.0 if reader.specification.reads == "null" else found / MM
     measured = replace(
         plan,
         point_mm=read_only(readings),
-        place_mm=read_only(np.full((len(plan), 3), np.nan)),
+        place_mm=read_only(np.where(np.isfinite(plan.along), plan.place_mm, np.nan)),
         station_pose=read_only(np.full((len(plan), 6), np.nan)),
         source="simulated",
         set_aside=(),

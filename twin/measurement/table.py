@@ -139,6 +139,7 @@ def _listed(lengths: Sequence[float] | Mapping[float, str]) -> str:
 
 FEWEST_POINTS: Final = 3
 """Least number of points of a station from which its pose can be determined."""
+UNIT_LENGTH: Final = 1e-4
 SMALLEST_U_MM: Final = 1e-9
 """Stated standard uncertainty below which a row is set aside, so that weights stay finite; no instrument is that good."""
 NOT_GIVEN: Final = read_only(np.zeros(0))
@@ -181,6 +182,11 @@ class Measurements(DisplayedResult):
         simulated: whether any of the readings were simulated, not measured on a machine.
         feed_mm_min: (n,) feed along the path when the point was taken, mm/min; NaN where not given.
         bar_mm: (n,) nominal length of the ball bar, from a comment of the file; NaN where not given.
+        along: (n, 3) unit vector in the station's frame along which x_mm was read: the normal of a surface that was cut; NaN where the
+            coordinates are those along the station's own axes.
+        tool: (n,) name of the tool that cut the point; empty where none did.
+        by_tool: (n, 3) change of the reading by that tool's radius and length, in mm/mm, and by its deflection under one unit of its
+            engagement; NaN where no tool cut.
         artefacts: known distances between targets, or their coordinates, from calibration certificates; `twin.identify` uses them.
 
     Examples:
@@ -216,6 +222,9 @@ class Measurements(DisplayedResult):
     feed_mm_min: np.ndarray = field(default_factory=_absent)
     bar_mm: np.ndarray = field(default_factory=_absent)
     artefacts: tuple[Artefact, ...] = ()
+    along: np.ndarray = field(default_factory=_absent)
+    tool: np.ndarray = field(default_factory=_absent)
+    by_tool: np.ndarray = field(default_factory=_absent)
 
     def __post_init__(self) -> None:
         """Fill in the fields that were not given."""
@@ -234,6 +243,9 @@ class Measurements(DisplayedResult):
             "station_pose": ((n, 6), np.nan),
             "feed_mm_min": ((n,), np.nan),
             "bar_mm": ((n,), np.nan),
+            "along": ((n, 3), np.nan),
+            "tool": ((n,), ""),
+            "by_tool": ((n, 3), np.nan),
         }
         for name, (shape, value) in blank.items():
             if getattr(self, name) is NOT_GIVEN:
@@ -301,6 +313,7 @@ class Measurements(DisplayedResult):
         if not rows:
             raise InputError("no measured point", expected="one row for each point below the header", file=path)
         _check_names(table)
+        _check_directions(table)
         unknown_cells = (
             ["\0".join(row[columns[name]] for name in unknown_columns) for _, row in rows] if unknown_columns else ()
         )
@@ -526,6 +539,26 @@ def _check_names(table: Measurements) -> None:
                 row=int(other),
                 value=name[other],
             )
+
+
+def _check_directions(table: Measurements) -> None:
+    """Raise `InputError` for a direction of reading that is no unit vector, or a second coordinate beside it."""
+    given = np.isfinite(table.along)
+    some = given.any(axis=1)
+    unit = np.abs(np.linalg.norm(np.nan_to_num(table.along), axis=1) - 1.0) < UNIT_LENGTH
+    for row in np.flatnonzero(some & ~unit):
+        raise table.error(
+            "along_x, along_y, along_z are not a unit vector",
+            expected="the direction of the reading, of length 1, or three empty cells",
+            row=row,
+            value=", ".join(f"{value:g}" for value in table.along[row]),
+        )
+    for row in np.flatnonzero(some & np.isfinite(table.point_mm[:, 1:]).any(axis=1)):
+        raise table.error(
+            "a coordinate beside the one along along_x, along_y, along_z",
+            expected="x_mm alone: the coordinate along that direction",
+            row=row,
+        )
 
 
 def _with_known_places(table: Measurements) -> Measurements:

@@ -250,6 +250,13 @@ def plan_file(path: Path) -> Path:
     return bundled_sample(path, "plan", "measurement table", [plan.name for plan in PLANS])
 
 
+def part_file(path: Path) -> Path:
+    """Return a file of a part by its path, or a bundled one by its name; `InputError` if there is none."""
+    from twin.samples import PARTS
+
+    return bundled_sample(path, "part", "file of features (twin.part/1)", [f"{name}.part.yaml" for name in PARTS])
+
+
 def need_pictures(what: str) -> None:
     """Raise `InputError` if matplotlib is missing, before any computation."""
     try:

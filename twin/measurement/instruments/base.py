@@ -60,6 +60,7 @@ class InstrumentSpecification:
         rides_on: sides on which its station can ride. Readings are of the target in the station's frame.
         range_mm: largest reading.
         beam: whether it measures along and across a beam, with different uncertainties.
+        aligned: whether its frame is nearly the one on which it rides, as that of a part.
         nominal_length: whether it has a nominal length, from which its readings may be deviations.
         set_up: words for the parts of its set-up.
         source: where its default uncertainty comes from.
@@ -76,6 +77,7 @@ class InstrumentSpecification:
     source: str
     range_mm: float = np.inf
     beam: bool = True
+    aligned: bool = False
     nominal_length: bool = False
     set_up: SetUpWords = SetUpWords()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
@@ -127,3 +127,22 @@ class LinearInterferometer(LengthReading):
     def sigma_m(self, points: np.ndarray) -> np.ndarray:
         """See `LengthReading.sigma_m`."""
         return np.hypot(self.floor_um * UM, 0.5e-6 * self.ppm * points[:, 0])
+
+
+CMM: Final = LinearInterferometer(
+    floor_um=0.9,
+    ppm=3.3,
+    specification=replace(
+        LINEAR,
+        name="cmm",
+        title="coordinate measuring machine, on a part that was cut here",
+        rides_on=("work",),
+        effects=("frame_shift",),
+        source="assumed: E = 1.8 µm + L/300 (ISO 10360-2, data sheets of usual machines), taken as two standard deviations",
+        beam=False,
+        aligned=True,
+        set_up=SetUpWords(station="place of", target="point"),
+    ),
+)
+"""The coordinate of a point of a part along the surface's normal. The part is the station: it sits on the work side, its place on the
+machine is unknown; the point of the tool that cut it is the target."""
