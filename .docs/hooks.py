@@ -57,7 +57,7 @@ EXAMPLE = {
         "time_constant": 1200.0,
     },
     **{
-        "place": -200.0,
+        "place": 210.0,
         "width": 20.0,
         "tilt": 12.0,
         "moment": 40.0,
@@ -178,8 +178,8 @@ def separated(one: Specification, machine: twin.Machine) -> Iterator[str]:
 
 
 def example_place(one: Specification, machine: twin.Machine) -> str:
-    """Return the last place of an effect, with a sensor where one is part of the place."""
-    where = one.places(machine)[-1]
+    """Return the first place of an effect that needs no load, with a sensor where one is part of the place."""
+    where = next(place for place in one.places(machine) if not place.endswith(" by load"))
     return f"{where} bed" if where.endswith(" by") else where
 
 
@@ -235,7 +235,7 @@ def effect_picture(one: Specification, effect: Effect, machine: twin.Machine) ->
             known = f"{name}" if side is None else f"{name} ({split.removeprefix('approach_')} {side:+g})"
             axes.plot(x, np.broadcast_to(np.asarray(values, dtype=float), x.shape), line, label=known)
     axes.set_xlabel(label)
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return svg(figure)
 
 
