@@ -143,7 +143,9 @@ def effect_section(one: Specification, machine: twin.Machine) -> Iterator[str]:
     yield f"- **Separated from others:** {' '.join(separated(one, machine))}"
     look = one.advice.look.replace("{axis}", "the axis").replace("{where}", "its place")
     yield f"- **Where to look:** {look}"
-    if made is not None:
+    if one.make is None and made is not None:
+        yield "- **In a calibration:** one of its own curves, squareness errors or locations; in the picture, the illustrative one."
+    elif made is not None:
         numbers = ", ".join(f"{name}: {value:g}" for name, value in numbers_of(one).items())
         entry = f"{{effect: {one.name}, where: {example_place(one, machine)}, parameters: {{{numbers}}}}}"
         yield f"- **In a calibration** (as in the picture): `{entry}`"
@@ -189,9 +191,10 @@ def numbers_of(one: Specification) -> dict[str, float]:
 
 
 def example(one: Specification, machine: twin.Machine) -> Effect | None:
-    """Return an example of an effect that an entry of a calibration can hold; None for others."""
+    """Return an example of an effect: of an entry, else that of the illustrative calibration; None for what is in no calibration."""
     if one.make is None:
-        return None
+        known = {effect.name: effect for effect in twin.Calibration.default(machine).effects}
+        return next((known[place] for place in one.places(machine) if place in known), None)
     return twin.effect_named(one.name, example_place(one, machine), numbers_of(one), machine)
 
 
@@ -214,7 +217,7 @@ def pictures_of_families() -> Iterator[tuple[str, bytes]]:
 
 def effect_picture(one: Specification, effect: Effect, machine: twin.Machine) -> bytes:
     """Return the components of an effect over what it depends on; dashed: from the other side, or at the ends of another axis."""
-    place = example_place(one, machine)
+    place = example_place(one, machine) if one.make is not None else effect.name
     state = {axis.name: np.full(POINTS, 0.5 * sum(limits_of(axis))) for axis in machine.axes}
     state |= {f"approach_{name}": np.ones(POINTS) for name in machine.names}
     hours = np.linspace(0.0, 2.0, POINTS)

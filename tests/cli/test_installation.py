@@ -204,7 +204,9 @@ def test_doctor_checks_every_package() -> None:
 def test_the_citation_is_of_this_version() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert citation["version"] == project["version"] and citation["title"].endswith(project["description"].lower()[2:-1])
+    assert citation["version"] == project["version"] and citation["title"].endswith(
+        project["description"].lower()[2:-1]
+    )
 
 
 @pytest.mark.slow
