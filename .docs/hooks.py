@@ -12,8 +12,10 @@ import re
 import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from html import escape, unescape
 from io import BytesIO
+from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -28,9 +30,14 @@ from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
 
 import twin
+from twin._common.arrays import read_only
 from twin.cli.commands import COMMANDS, load
 from twin.cli.doc import PAGES, page_text
 from twin.diagnosis.candidates import SPECIFICATIONS
+from twin.diagnosis.forms import LEAST_NONCENTRALITY, columns_of
+from twin.diagnosis.readings import readings
+from twin.diagnosis.search import candidates_of
+from twin.diagnosis.second_opinion import Key
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis
 from twin.measurement.instruments import INSTRUMENTS, Instrument
@@ -45,6 +52,12 @@ POINTS = 400  # of a curve in a picture
 DISTANCES_MM = (100.0, 1000.0, 3000.0, 10_000.0)  # at which the uncertainty of an instrument is given
 KNOTS = (0.0, 90.0, 180.0, 270.0, 360.0)  # of the spline in the picture of the bases
 BASES_PICTURE = "\n![The first functions of each basis over a turn](curves.svg)\n"
+READING_SECTIONS = (
+    "`E_aa` is the error motion of an axis along its own motion. Pictures show the example below them, alone. *Most alike* is"
+    " the cause of another kind that changes the readings of the thesis's plan most nearly in the same way (temperatures and"
+    " speeds change, the set-up is fitted): the cosine of the angle between the two, of forms with at most two parameters. At"
+    " 1.00 these readings cannot distinguish them, or one contains the other; another plan has other values."
+)
 # Parameters of the examples of effects, in the units of their specifications.
 EXAMPLE = {
     **{
@@ -114,9 +127,7 @@ def manual_page(name: str) -> str:
 def effect_sections() -> str:
     """Return a section for each cause that a diagnosis knows, from its specification."""
     machine = twin.Machine.load("dmu50")
-    parts = [
-        "\n`E_aa` is the error motion of an axis along its own motion. Pictures show the example below them, alone."
-    ]
+    parts, alike = [f"\n{READING_SECTIONS}"], neighbours(machine)
     kinds = {
         "machine": "Errors of the machine",
         "instrument": "Errors of the instrument",
@@ -126,11 +137,46 @@ def effect_sections() -> str:
         parts.append(f"\n## {title}\n")
         for one in SPECIFICATIONS.values():
             if one.kind == kind:
-                parts += [f"### `{one.name}`: {one.plural}\n", *effect_section(one, machine)]
+                parts += [f"### `{one.name}`: {one.plural}\n", *effect_section(one, machine, alike.get(one.name))]
     return "\n".join(parts)
 
 
-def effect_section(one: Specification, machine: twin.Machine) -> Iterator[str]:
+def neighbours(machine: twin.Machine) -> dict[str, tuple[float, Key, Key]]:
+    """Return of each effect the likeness to the most similar cause of another one, and both, in readings of the thesis's plan."""
+    plan, tracker = twin.thesis_plan.plan(machine), twin.instruments.LaserTracker()
+    hours = plan.time_s / 3600.0
+    warm = {
+        name: read_only(20.0 + 4.0 * np.sin(rate * hours))
+        for name, rate in (("X", 1.1), ("Y", 1.7), ("Z", 2.3), ("bed", 0.4))
+    }
+    speed = read_only(np.where(np.sin(2.0 * hours) > 0.0, 12000.0, 0.0))
+    given = replace(plan, temperature_degC=warm, channels={"spindle_rpm": speed})
+    zero = twin.Calibration.zero(machine)
+    data, _ = twin.simulate(given, machine, zero, tracker, np.random.default_rng(1))
+    placed = readings(data, machine, zero, tracker)
+    candidates = candidates_of(placed.without(placed.bad))
+    few = [form for form in candidates.forms if len(form.columns) <= 2]
+    columns = columns_of(few)
+    gram = candidates.cross(columns)[:, columns]
+    at = [np.searchsorted(columns, form.columns) for form in few]
+    seen = [bool(np.linalg.eigvalsh(gram[np.ix_(own, own)])[0] > LEAST_NONCENTRALITY) for own in at]
+    roots = [
+        np.linalg.inv(np.linalg.cholesky(gram[np.ix_(own, own)])) if ok else None
+        for own, ok in zip(at, seen, strict=True)
+    ]
+    found: dict[str, tuple[float, Key, Key]] = {}
+    for i, j in combinations(np.flatnonzero(seen).tolist(), 2):
+        (first, a), (second, b) = (few[i].key, at[i]), (few[j].key, at[j])
+        if first[0] != second[0]:
+            # Cosine of the smallest angle between the spaces of the two (canonical correlation).
+            cosine = float(np.linalg.norm(roots[i] @ gram[np.ix_(a, b)] @ roots[j].T, 2))
+            for own, other in ((first, second), (second, first)):
+                if cosine > found.get(own[0], (0.0,))[0]:
+                    found[own[0]] = (cosine, own, other)
+    return found
+
+
+def effect_section(one: Specification, machine: twin.Machine, alike: tuple[float, Key, Key] | None) -> Iterator[str]:
     """Yield formula, picture, what separates a cause from others, advice, and an example."""
     places, made = one.places(machine), example(one, machine)
     if made is not None:
@@ -141,7 +187,11 @@ def effect_section(one: Specification, machine: twin.Machine) -> Iterator[str]:
             f" **Needs** {needs} in the table." if needs else ""
         )
     yield f"- **Separated from others:** {' '.join(separated(one, machine))}"
-    look = one.advice.look.replace("{axis}", "the axis").replace("{where}", "its place")
+    if alike is not None:
+        likeness, own, other = alike
+        yield f"- **Most alike:** `{' '.join(own)}` and `{' '.join(other).removesuffix(' —')}`, {likeness:.2f}."
+    at = example_place(one, machine) if places else ""
+    look = one.advice.look.replace("{axis}", axis_of(at) if at else "the axis").replace("{where}", at or "its place")
     yield f"- **Where to look:** {look}"
     if one.make is None and made is not None:
         yield "- **In a calibration:** one of its own curves, squareness errors or locations; in the picture, the illustrative one."
@@ -154,7 +204,8 @@ def effect_section(one: Specification, machine: twin.Machine) -> Iterator[str]:
 
 def described(one: Effect | Instrument) -> str:
     """Return what a class says of itself, without its attributes."""
-    return (inspect.getdoc(type(one)) or "").split("\n\nAttributes:")[0].split("\n\nArgs:")[0]
+    paragraphs = (inspect.getdoc(type(one)) or "").split("\n\nAttributes:")[0].split("\n\nArgs:")[0].split("\n\n")
+    return "\n\n".join(text for text in paragraphs if "see `Instrument`" not in text)
 
 
 def separated(one: Specification, machine: twin.Machine) -> Iterator[str]:
