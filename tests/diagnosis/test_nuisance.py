@@ -15,6 +15,7 @@ from twin.diagnosis.candidates.candidate import Column
 from twin.diagnosis.forms import Form
 from twin.diagnosis.problem import Problem, Products
 from twin.diagnosis.readings import readings
+from twin.diagnosis.search import prices
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance
@@ -181,3 +182,10 @@ def test_what_a_form_explains_of_noise_and_a_wrong_calibration_is_chi2(searched:
         gram, slope = problem.normal_equations(problem.signature(form.variant.columns), residual)
         explained = np.sum(slope * np.linalg.solve(gram, slope), axis=0)
         assert stats.kstest(explained, stats.chi2(len(form.columns)).cdf).pvalue > 1e-3, form.key
+
+
+def test_the_shares_of_all_forms_in_the_false_alarms_add_up_to_one(searched: Searcher) -> None:
+    """Weighted Bonferroni: corrected by these numbers of tests, all forms together are below a level at most at that rate."""
+    tested = searched.task.catalogue.candidates
+    log_tests = prices(tested)
+    assert sum(one.tests * np.exp(-log_tests[one.effect]) for one in tested) == pytest.approx(1.0)
