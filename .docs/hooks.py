@@ -286,7 +286,7 @@ def effect_picture(one: Specification, effect: Effect, machine: twin.Machine) ->
         there = state if side is None else state | {split: np.full(POINTS, side)}
         for component, values in effect.components(there).items():
             name = f"{DIRECTIONS[component]}, {'µm' if component < 3 else 'µrad'}"
-            known = f"{name}" if side is None else f"{name} ({split.removeprefix('approach_')} {side:+g})"
+            known = f"{name}" if side is None else f"{name} ({split.replace('approach_', 'approach ')} {side:+g})"
             axes.plot(x, np.broadcast_to(np.asarray(values, dtype=float), x.shape), line, label=known)
     axes.set_xlabel(label)
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
