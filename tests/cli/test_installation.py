@@ -7,12 +7,16 @@ import os
 import re
 import subprocess
 import sys
+import tarfile
 import tomllib
+import venv
+import zipfile
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import twin
 from tests.cli.commands import TWIN
@@ -195,3 +199,46 @@ def test_the_oldest_packages_are_those_of_the_lower_bounds() -> None:
 
 def test_doctor_checks_every_package() -> None:
     assert {*installation.NEEDED, *installation.OPTIONAL} == set(lower_bounds())
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert citation["version"] == project["version"] and citation["title"].endswith(
+        project["description"].lower()[2:-1]
+    )
+
+
+@pytest.mark.slow
+def test_wheel_and_sdist_hold_the_package_and_the_wheel_runs(tmp_path: Path) -> None:
+    """Both are built by the stated backend; the sdist builds the same wheel; the wheel alone answers a command."""
+    requires = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    venv.create(tmp_path / "venv", with_pip=True)
+    python = tmp_path / "venv" / "bin" / "python"
+
+    def run(*words: object, cwd: Path = tmp_path, **environment: str) -> str:
+        words_of_text = [str(word) for word in words]
+        ended = subprocess.run(
+            words_of_text, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, timeout=500
+        )
+        assert ended.returncode == 0, (words_of_text, ended.stderr)
+        return ended.stdout
+
+    run(python, "-m", "pip", "install", "--quiet", *requires)
+    run(python, "-m", "hatchling", "build", "-d", tmp_path / "dist", cwd=ROOT)
+    (wheel,), (source,) = ([*(tmp_path / "dist").glob(kind)] for kind in ("*.whl", "*.tar.gz"))
+    tracked = run("git", "ls-files", "twin", "urdf", cwd=ROOT).splitlines()
+    expected = {f"twin/{name}" if name.startswith("urdf/") else name for name in tracked}
+    held = set(zipfile.ZipFile(wheel).namelist())
+    assert expected <= held and all(name in expected or ".dist-info/" in name for name in held)
+    with tarfile.open(source) as archive:
+        archive.extractall(tmp_path / "source", filter="data")
+    (unpacked,) = (tmp_path / "source").iterdir()
+    run(python, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path / "again", cwd=unpacked)
+    (again,) = (tmp_path / "again").glob("*.whl")
+    assert set(zipfile.ZipFile(again).namelist()) == held
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "installed")
+    code = "import twin; from twin.cli import main; print(twin.__file__, flush=True); main(['info'])"
+    printed = run(sys.executable, "-c", code, PYTHONPATH=str(tmp_path / "installed"))
+    assert printed.startswith(str(tmp_path / "installed" / "twin")) and "DMU 50" in printed

@@ -99,6 +99,40 @@ def test_scripts_of_the_manual_run_as_written(page: str, name: str, content: byt
     assert len(list(tmp_path.iterdir())) == 2, "the script saves one file"
 
 
+PAGES_OF_SITE = sorted((ROOT / ".docs/pages").glob("**/*.md"))
+EXAMPLES = re.findall(
+    r"^## (.*?)\n.*?^```python\n(.*?)^```\n\n```text\n(.*?)^```",
+    (ROOT / ".docs/pages/gallery.md").read_text(),
+    re.M | re.S,
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("script", "printed"), [one[1:] for one in EXAMPLES], ids=[one[0] for one in EXAMPLES])
+def test_examples_of_the_gallery_print_what_it_shows(script: str, printed: str, tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == printed
+
+
+def test_the_gallery_has_an_answer_to_each_of_its_questions() -> None:
+    text = (ROOT / ".docs/pages/gallery.md").read_text()
+    assert len(EXAMPLES) == text.count("```python") == 15
+
+
+def test_every_test_that_the_site_names_exists() -> None:
+    named = {found for page in PAGES_OF_SITE for found in re.findall(r"(tests/[\w/]+\.py)::(\w+)", page.read_text())}
+    assert len(named) > 50
+    for path, name in named:
+        assert re.search(rf"^def {name}\(", (ROOT / path).read_text(), re.M), f"{path}::{name}"
+
+
+def test_every_source_that_the_site_cites_is_in_the_bibliography() -> None:
+    stated = re.findall(r"^  \{: #([\w-]+) \}$", (ROOT / ".docs/pages/concepts/bibliography.md").read_text(), re.M)
+    cited = {found for page in PAGES_OF_SITE for found in re.findall(r"bibliography\.md#([\w-]+)", page.read_text())}
+    assert sorted(stated) == sorted(cited) and len(set(stated)) == len(stated)
+
+
 def test_readme_is_short() -> None:
     assert len(README.splitlines()) <= 120
 

@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from tests.benchmarks.diagnosis import measured
 from tests.diagnosis.battery import Searcher, basis_of
 from twin._common.arrays import read_only
 from twin.diagnosis.candidates.candidate import Column
+from twin.diagnosis.forms import Form
 from twin.diagnosis.problem import Problem, Products
 from twin.diagnosis.readings import readings
+from twin.diagnosis.search import prices
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance
@@ -142,3 +145,51 @@ def test_inner_products_with_other_columns_on_a_part(searched: Searcher, which: 
     close(gram, other.T @ other)
     close(problem.nuisances.from_raw(by_nuisance), basis_of(problem)[rows].T @ other)
     close(slope, other.T @ problem.residual[rows])
+
+
+def whole_forms(searched: Searcher) -> list[Form]:
+    """Return some forms of one, two and more columns, all of whose directions the readings show."""
+    _, dof = searched.candidates.scan([])
+    shown = [form for form in searched.candidates.forms if dof[form.index] == len(form.columns)]
+    return [form for width in (1, 2, 4) for form in [one for one in shown if len(one.columns) == width][:6]]
+
+
+def test_what_a_form_explains_is_the_drop_of_dense_chi2(searched: Searcher) -> None:
+    """χ² of the augmented least-squares problem, the prior's rows included, without the form less that with it."""
+    problem, candidates = searched.problem, searched.candidates
+    prior = problem.nuisances.prior @ problem.nuisances.coordinates
+    nuisance = np.concatenate([problem.nuisance, prior])
+    right = np.concatenate([problem.residual, np.zeros(len(prior))])
+
+    def chi2(columns: np.ndarray) -> float:
+        size = np.linalg.norm(columns, axis=0)
+        left, values, _ = np.linalg.svd(columns / np.where(size > 0.0, size, 1.0), full_matrices=False)
+        return float(right @ right - np.sum((left[:, values > 1e-9 * values[0]].T @ right) ** 2))
+
+    forms = whole_forms(searched)
+    assert {len(form.columns) for form in forms} == {1, 2, 4}
+    explained, _ = candidates.scan([])
+    for form in forms[::3]:
+        signature = problem.signature(form.variant.columns)
+        both = np.hstack([nuisance, np.concatenate([signature, np.zeros((len(prior), signature.shape[1]))])])
+        assert explained[form.index] == pytest.approx(chi2(nuisance) - chi2(both), rel=1e-5, abs=1e-5)
+
+
+def test_what_a_form_explains_of_noise_and_a_wrong_calibration_is_chi2(searched: Searcher) -> None:
+    """Any set-up, a calibration drawn from its covariance, and noise: the null distribution of the test."""
+    problem, rng, draws = searched.problem, np.random.default_rng(20), 400
+    moved = rng.standard_normal((problem.nuisance.shape[1], draws))
+    moved[: len(problem.setup)] *= 3.0  # the set-up is free: its size does not matter
+    residual = problem.nuisance @ moved + rng.standard_normal((len(problem.residual), draws))
+    residual *= problem.network.read.reshape(-1, 1)
+    for form in whole_forms(searched)[::4]:
+        gram, slope = problem.normal_equations(problem.signature(form.variant.columns), residual)
+        explained = np.sum(slope * np.linalg.solve(gram, slope), axis=0)
+        assert stats.kstest(explained, stats.chi2(len(form.columns)).cdf).pvalue > 1e-3, form.key
+
+
+def test_the_shares_of_all_forms_in_the_false_alarms_add_up_to_one(searched: Searcher) -> None:
+    """Weighted Bonferroni: corrected by these numbers of tests, all forms together are below a level at most at that rate."""
+    tested = searched.task.catalogue.candidates
+    log_tests = prices(tested)
+    assert sum(one.tests * np.exp(-log_tests[one.effect]) for one in tested) == pytest.approx(1.0)
