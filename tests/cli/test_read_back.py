@@ -43,6 +43,7 @@ WRITTEN: Final = {
     ("forecast", "output"): REPORT,
     ("forecast", "scene_file"): REPORT,
     ("report", "output"): REPORT,
+    ("demo", "output"): "a folder written by other commands",
     ("report", "dcc_file"): "its numbers are read back from the XML before it is written",
     ("evaluate", "dcc_file"): "its numbers are read back from the XML before it is written",
     ("thermal", "predicted"): "a table to draw: no command reads a prediction",

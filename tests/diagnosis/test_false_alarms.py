@@ -74,7 +74,8 @@ def planned(machine: Machine, name: str, rng: np.random.Generator) -> Measuremen
 
 
 @pytest.mark.parametrize("draws", [2, pytest.param(40, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", [one.name for one in INSTRUMENTS])
+# Measured parts have directions of their own, and a test of their own (`tests.part.test_measured`).
+@pytest.mark.parametrize("name", [one.name for one in INSTRUMENTS if not one.specification.aligned])
 def test_nothing_hidden_is_found_at_the_stated_rate(dmu50: Machine, name: str, draws: int) -> None:
     """The number of findings, and the p-values of the fit together (Stouffer): each wrong in one of a thousand runs."""
     nothing, instrument = Calibration.zero(dmu50), instrument_named(name)

@@ -173,7 +173,7 @@ def test_noise_stated_too_large_is_reported() -> None:
     assert stats.chi2.cdf(2.0, 20) == pytest.approx(1.1e-7, rel=0.05)
     assert overstated_noise(11.0, 95.0, 100.0) == () and overstated_noise(11.0, 0.1, 10.0) == ()
     (notice,) = overstated_noise(11.0, 1e-4, 100.0)
-    assert notice.startswith("assumed: ") and "1e+03 times the residuals (11 µm)" in notice and "u_x_mm" in notice
+    assert notice.startswith("assumed: ") and "1000 times the residuals (11 µm)" in notice and "u_x_mm" in notice
 
 
 def test_unknown_columns_are_reported(dmu50: Machine, tmp_path: Path) -> None:

@@ -254,8 +254,8 @@ PAGES: Final = (
     "evaluate readings.csv --tolerance E_C0Y=20 --instrument tracker",
     "confirm mine.yaml readings.csv",
 )
-ELSEWHERE: Final = {"compare", "machine", "report"}
-"""Commands with ``--lang`` that other tests of this file run."""
+ELSEWHERE: Final = {"compare", "forecast", "machine", "report"}
+"""Commands with ``--lang`` that other tests run."""
 
 
 def printed(folder: Path, words: str) -> list[object]:

@@ -17,6 +17,7 @@ import numpy as np
 from twin._common.arrays import first_largest, largest_first, read_only
 from twin._common.messages import Message, Number, joined
 from twin._common.units import MM, TURN
+from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.candidates.calibration import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.candidates.candidate import STRAIGHT_LINE
 from twin.diagnosis.candidates.instrument import assumed_zero
@@ -241,6 +242,26 @@ def rest_on_the_instrument(problem: Problem, signature: np.ndarray, machine: np.
         return machine
     every = np.arange(len(machine))
     return np.array([bool(machine[k]) and rest(every == k) for k in every], dtype=bool)
+
+
+def itself(findings: Findings, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
+    """Return a cause and the causes that are this one and something more, which count as that cause for the second method.
+
+    Those are its variants, such as ``reversal_curve`` of ``reversal``, and causes of the same origin that make the same readings with
+    further parameters (the growth of a scale about a far point is a growth): the search names the smaller if no more is needed.
+    """
+    candidates, (effect, where) = findings.candidates, form.key
+    found = {key for one in findings.second_opinion for key in one.credible} - {other.key for other in others}
+    larger = (
+        other
+        for other in candidates.forms
+        if other.key in found
+        and other.candidate.origin == form.candidate.origin
+        and len(other.columns) > len(form.columns)
+        and candidates.contains([*others, other], others, form)
+    )
+    variants = [(own.name, where) for own in SPECIFICATIONS.values() if own.variant_of == effect]
+    return [form.key, *variants, *(other.key for other in larger)]
 
 
 def constants_of_curves(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:

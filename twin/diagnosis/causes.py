@@ -31,13 +31,13 @@ from twin.diagnosis.alternatives import (
     equivalent,
     evidence,
     follows_a_temperature,
+    itself,
     lag_not_excluded,
     rest_on_the_instrument,
     ruled_out,
     together,
     where_measured,
 )
-from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT, of_a_jumped_side
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
@@ -223,7 +223,7 @@ def _least_distinct(
         if added[form] >= min(SMALL_EXCESS * excess, allowed):
             break
         effects, negligible = findings.second_opinion, added[form] < NEGLIGIBLE_EXCESS * excess
-        own = _itself(findings, form, rest[form])
+        own = itself(findings, form, rest[form])
         certain = not effects or probability_of_any(effects, own) >= CREDIBLE_PROBABILITY
         if certain and not negligible:
             continue
@@ -235,26 +235,6 @@ def _least_distinct(
         if not certain and probability < CREDIBLE_PROBABILITY:
             return form, keys, probability
     return None, (), None
-
-
-def _itself(findings: Findings, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
-    """Return a cause and the causes that are this one and something more, which count as that cause for the second method.
-
-    Those are its variants, such as ``reversal_curve`` of ``reversal``, and causes of the same origin that make the same readings with
-    further parameters (the growth of a scale about a far point is a growth): the search names the smaller if no more is needed.
-    """
-    candidates, (effect, where) = findings.candidates, form.key
-    found = {key for one in findings.second_opinion for key in one.credible} - {other.key for other in others}
-    larger = (
-        other
-        for other in candidates.forms
-        if other.key in found
-        and other.candidate.origin == form.candidate.origin
-        and len(other.columns) > len(form.columns)
-        and candidates.contains([*others, other], others, form)
-    )
-    variants = [(own.name, where) for own in SPECIFICATIONS.values() if own.variant_of == effect]
-    return [form.key, *variants, *(other.key for other in larger)]
 
 
 def one_for_each_number(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
@@ -321,7 +301,7 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
     if structure.pattern_tests:
         return causes, Comparison()
     groups = [
-        (*_itself(sized.findings, form, [other for other in sized.forms if other is not form]), *cause.equivalent)
+        (*itself(sized.findings, form, [other for other in sized.forms if other is not form]), *cause.equivalent)
         for form, cause in zip(sized.forms, causes, strict=True)
     ]
     comparison = compare_with_search(sized.findings.second_opinion, groups)

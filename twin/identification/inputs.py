@@ -12,6 +12,7 @@ from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError, require_type
 from twin._common.messages import Message
 from twin._common.units import MM
+from twin.display.numbers import listed
 from twin.identification.network import Network, stated_covariance
 from twin.identification.solve import SIGNIFICANCE, Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
 from twin.machine.machine import Machine
@@ -265,7 +266,7 @@ def _mirrored_planes(data: Measurements, setup: StationsAndTargets) -> list[Mess
         size = np.linalg.svd(whole - whole.mean(axis=0), compute_uv=False)
         unread = int(np.flatnonzero(~read)[0])
         if size[1] > IN_LINE * size[0] and setup.rotation[i][unread, unread] < -0.5:
-            columns = ", ".join(POINT_COLUMNS[k] for k in np.flatnonzero(read))
+            columns = listed([POINT_COLUMNS[k] for k in np.flatnonzero(read)])
             mirrored_planes.append(
                 Message(
                     "station {station} reads {columns} only, and its readings fit a station on the machine's -{direction} "

@@ -61,7 +61,7 @@ MIDDLE: Final = 0.5
 
 @final
 @dataclass(frozen=True, eq=False)
-class Cut:
+class MeasuredCut:
     """The contact that made each of m points.
 
     Attributes:
@@ -140,7 +140,7 @@ def measure_part(
     if not len(kept):
         raise InputError("at every point an axis reverses", expected="points elsewhere", file=table.path)
     points, off_um = [points[i] for i in kept], off_um[kept]
-    cut = Cut(*(getattr(cut, name)[kept] for name in Cut.__dataclass_fields__))
+    cut = MeasuredCut(*(getattr(cut, name)[kept] for name in MeasuredCut.__dataclass_fields__))
     data = _table(machine, table, points, off_um, cut, timed=timed)
     turned = (
         f"left out: {count_with_noun(left_out, 'reading')} where an axis reverses: which way it came is not known there"
@@ -232,7 +232,7 @@ def _with_sides(run: Execution, program: Program, dialect: Dialect, machine: Mac
 
 def _rows(
     table: MeasuredTable, part: PartDrawing, name: str, maker: Maker, run: Execution, zero_mm: np.ndarray
-) -> tuple[list[MeasuredPoint], np.ndarray, Cut]:
+) -> tuple[list[MeasuredPoint], np.ndarray, MeasuredCut]:
     """Return the rows of one feature: the point of each, its deviation (n,) along the normal, µm, and its cut."""
     feature = part.features[name]
     points, places, normals, deviations, centre = [], [], [], [], []
@@ -367,7 +367,7 @@ def _nearest(
     found: ToolContacts,
     at: tuple[np.ndarray, np.ndarray, Execution, np.ndarray, str, Kinematics],
     places: np.ndarray,
-) -> Cut:
+) -> MeasuredCut:
     """Return the contact of one tool nearest to each of (m, 3) places, between two samples; excess NaN where none is near."""
     some, axis, run, zero_mm, number, nominal = at
     # One contact for each sample: that at the lower end of a flank; the places along the flank follow from the point.
@@ -409,7 +409,7 @@ def _nearest(
     bottom = np.abs((normal * axes).sum(axis=1)) > 1.0 - FLANK
     reach = np.where(bottom & ~np.isinf(reach), tool.radius + REACH_MM, reach)
     excess = np.where(far <= reach, excess, np.nan)
-    return Cut(
+    return MeasuredCut(
         positions, side, tip + lever, normal, axes, excess, run.lines[rows[later]],
         np.full(len(places), number, dtype=object), far, np.full(len(places), found.drilled), np.zeros((len(places), 3)), turning,
     )  # fmt: skip
@@ -487,17 +487,21 @@ def _on_way(
     return begin, share, far
 
 
-def _best(cuts: Sequence[Cut]) -> Cut:
+def _best(cuts: Sequence[MeasuredCut]) -> MeasuredCut:
     """Return for each point the cut that leaves least of it; of equal ones the last."""
     excess = np.array([np.where(np.isfinite(one.excess_mm), one.excess_mm, np.inf) for one in cuts])
     least = excess.min(axis=0)
     which = len(cuts) - 1 - (excess[::-1] <= least + SAME_MM).argmax(axis=0)
     rows = np.arange(excess.shape[1])
-    return Cut(*(np.stack([getattr(one, name) for one in cuts])[which, rows] for name in Cut.__dataclass_fields__))
+    return MeasuredCut(
+        *(np.stack([getattr(one, name) for one in cuts])[which, rows] for name in MeasuredCut.__dataclass_fields__)
+    )
 
 
-def _joined(cuts: Sequence[Cut]) -> Cut:
-    return Cut(*(np.concatenate([getattr(one, name) for one in cuts]) for name in Cut.__dataclass_fields__))
+def _joined(cuts: Sequence[MeasuredCut]) -> MeasuredCut:
+    return MeasuredCut(
+        *(np.concatenate([getattr(one, name) for one in cuts]) for name in MeasuredCut.__dataclass_fields__)
+    )
 
 
 def by_tool(tool: ToolShape, normal: np.ndarray, axis: np.ndarray, engagement_mm: np.ndarray) -> np.ndarray:
@@ -518,7 +522,7 @@ def _table(
     table: MeasuredTable,
     points: Sequence[MeasuredPoint],
     off_um: np.ndarray,
-    cut: Cut,
+    cut: MeasuredCut,
     *,
     timed: bool,
 ) -> Measurements:
@@ -560,7 +564,7 @@ def _table(
     return replace(data, place_mm=read_only(place))
 
 
-def _notes(points: Sequence[MeasuredPoint], cut: Cut, *, timed: bool) -> list[str]:
+def _notes(points: Sequence[MeasuredPoint], cut: MeasuredCut, *, timed: bool) -> list[str]:
     """Return for each feature how many readings it gives, by which tool and lines; and what is known of times and uncertainties."""
     notes = []
     names = np.array([point.feature for point in points])
@@ -583,7 +587,7 @@ def _notes(points: Sequence[MeasuredPoint], cut: Cut, *, timed: bool) -> list[st
     return notes
 
 
-def _check_fixed(data: Measurements, part: PartDrawing, points: Sequence[MeasuredPoint], cut: Cut) -> list[str]:
+def _check_fixed(data: Measurements, part: PartDrawing, points: Sequence[MeasuredPoint], cut: MeasuredCut) -> list[str]:
     """Return a note on the motions of the part that its points do not fix; `InputError` if they show nothing but the set-up."""
     arm = (cut.contact_mm - cut.contact_mm.mean(axis=0)) / 100.0
     motions = np.hstack([cut.normal, np.cross(arm, cut.normal)])

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import yaml
 
 from twin._common.files import write_atomic
+from twin._common.yaml_files import yaml_text
 from twin.samples import PARTS
 
 LENGTH: Final = 120.0
@@ -178,7 +178,7 @@ def contents() -> dict[str, str]:
     found = {f"{name}.nc": text for name, (text, _) in made.items()}
     drawings = {name: drawn for name, (_, drawn) in made.items()} | {"cone_frustum": cone_frustum()}
     for name, drawn in drawings.items():
-        found[f"{name}.part.yaml"] = yaml.safe_dump(plain(drawn), sort_keys=False, default_flow_style=None, width=130)
+        found[f"{name}.part.yaml"] = yaml_text(plain(drawn))
     return found
 
 
