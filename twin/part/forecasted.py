@@ -29,6 +29,8 @@ NOT_CONTAINED: Final = Message(
 SMALLEST_SHARE: Final = 0.02
 """Share of a value below which an error's part in it is not printed."""
 COLOURS: Final = {"held": "#009e73", "open": "#e69f00", "exceeded": "#d55e00"}
+GREY: Final = "#b5b5b5"
+"""Colour of a feature that no tolerance names."""
 PALE: Final = {"held": "#e8f3ea", "open": "#fdf2df", "exceeded": "#fbe4de"}
 UNCERTAIN: Final = {
     SETUP: Message("the part's place on the table"),
@@ -401,9 +403,7 @@ class PartForecast(Result):
     def _picture(self) -> dict[str, Any]:
         """Return the part seen obliquely: features as points in the colour of their verdict, in a box of 100 units' width."""
         verdicts = self.verdicts()
-        points = {
-            name: np.asarray(self.points_mm[name]) for name in verdicts if self.points_mm and name in self.points_mm
-        }
+        points = {name: np.asarray(one) for name, one in (self.points_mm or {}).items()}
         if not points:
             return {}
         turn, tilt = np.radians(-30.0), np.radians(35.0)
@@ -415,7 +415,9 @@ class PartForecast(Result):
         drawn = {name: (one - low) / size * 92.0 + 4.0 for name, one in flat.items()}
         height = float(np.ptp(every[:, 1])) / size * 92.0 + 8.0
         labels: dict[str, np.ndarray] = {}
-        for name, one in sorted(drawn.items(), key=lambda item: len(item[1])):
+        for name, one in sorted(
+            ((name, drawn[name]) for name in verdicts if name in drawn), key=lambda item: len(item[1])
+        ):
             free = [
                 p
                 for p in one[:: max(1, len(one) // 40)]
@@ -427,11 +429,11 @@ class PartForecast(Result):
             "features": [
                 {
                     "name": name,
-                    "colour": COLOURS[verdicts[name]],
+                    "colour": COLOURS[verdicts[name]] if name in verdicts else GREY,
                     "dots": [(round(float(x), 1), round(float(y), 1)) for x, y in np.unique(one.round(1), axis=0)],
-                    "at": [round(float(v), 1) for v in labels[name]],
+                    "at": [round(float(v), 1) for v in labels[name]] if name in labels else None,
                 }
-                for name, one in drawn.items()
+                for name, one in sorted(drawn.items(), key=lambda item: item[0] in verdicts)
             ],
         }
 
