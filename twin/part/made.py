@@ -329,11 +329,9 @@ class Maker:
                     continue
                 parts.append((found, some, poses.axis, number))
         if not parts:
-            near = (
-                f"; the nearest block, line {nearest[1]}, stays {nearest[0]:.3f} mm away"
-                if np.isfinite(nearest[0])
-                else ""
-            )
+            near = f" (tool length {' and '.join(f'{one:g}' for one in np.unique(run.lengths_mm))} mm)"
+            if np.isfinite(nearest[0]):
+                near += f"; the nearest block, line {nearest[1]}, stays {nearest[0]:.3f} mm away"
             raise self.part.refused(
                 ("features", name), f"no block of the program makes the feature {name}{near}",
                 "a surface that the program cuts, in the part's frame, and the tool that cuts it; else made: elsewhere",
