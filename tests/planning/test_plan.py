@@ -344,7 +344,8 @@ def test_known_positions_make_errors_identifiable(dmu50: Machine) -> None:
     predicted = judge(first, dmu50)
     assert {one.name for one in predicted.hidden} == {"E_X0B", "E_Y0B", "E_Y0C"}
     for one in predicted.hidden:
-        assert "target" in one.reason and one.name in one.reason
+        assert "cannot be separated from" in one.reason and "; enter the targets' places" in one.reason
+        assert one.direction.startswith(f"{one.name} +")
         assert one.name not in predicted.errors and one.name in predicted.to_text()
     known = judge(first, dmu50, known={*first.target})
     assert known.hidden == () and {"E_X0B", "E_Y0B", "E_Y0C"} <= set(known.errors)

@@ -419,12 +419,29 @@ def unidentified(
             direction = model.determinability.null_direction_of(
                 model.determinability.names[model.considered.of(name)[0]]
             )
-            why = SAYS_LESS if direction is None else _confounded_with(name, direction, parts)
-            remedy = _remedy(name, machine, setup, parts, direction, name in model.confounded)
-            unidentified.append(Unidentified(name, why, remedy, str(direction or "")))
+            unidentified.append(_inseparable(name, machine, setup, parts, direction, name in model.confounded))
         elif name in held:
             unidentified.append(Unidentified(name, SAYS_LESS))
     return tuple(unidentified)
+
+
+def inseparable(
+    name: str, machine: Machine, data: Measurements, setup: StationsAndTargets, direction: NullDirection | None
+) -> Unidentified:
+    """Return why an error is not determined, from which others it cannot be separated, and what to do; ``direction``: with them."""
+    return _inseparable(name, machine, setup, _parts(setup, data), direction, confounded=False)
+
+
+def _inseparable(
+    name: str,
+    machine: Machine,
+    setup: StationsAndTargets,
+    parts: Mapping[str, _Part],
+    direction: NullDirection | None,
+    confounded: bool,
+) -> Unidentified:
+    why = SAYS_LESS if direction is None else _confounded_with(name, direction, parts)
+    return Unidentified(name, why, _remedy(name, machine, setup, parts, direction, confounded), str(direction or ""))
 
 
 def _parts(setup: StationsAndTargets, data: Measurements) -> dict[str, _Part]:

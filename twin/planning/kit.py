@@ -36,6 +36,7 @@ from twin.identification.network import (
     spaces_for,
 )
 from twin.identification.solve import all_unknowns, free_directions
+from twin.identification.unidentified import Unidentified, inseparable
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument, StationInstruments
 from twin.measurement.set_up import StationsAndTargets
@@ -337,16 +338,6 @@ LEAST_UM: Final = 0.5
 
 MOST_NAMED: Final = 5
 """Most unknowns named in a reason."""
-VAGUE: Final = "the readings determine it no better than its plausible size"
-
-
-@final
-@dataclass(frozen=True)
-class NotIdentifiable:
-    """Error that is not identifiable from the readings of a plan."""
-
-    name: str  # ISO 230-1 name
-    reason: str  # the combination with other unknowns that leaves all readings unchanged
 
 
 @final
@@ -493,7 +484,7 @@ class PlanModel:
         )
 
     @cached_property
-    def hidden(self) -> tuple[NotIdentifiable, ...]:
+    def hidden(self) -> tuple[Unidentified, ...]:
         """Errors of which not even the lowest order is determined; `identify` would leave them out."""
         unseen = dict(zip(self.determinability.names, self.determinability.remaining_variance, strict=True))
         # The machine's own unknowns come first.
@@ -507,7 +498,9 @@ class PlanModel:
             if unseen[worst] > NOT_DETERMINED:
                 direction = self.determinability.null_direction_of(worst)
                 hidden.append(
-                    NotIdentifiable(name, VAGUE if direction is None else str(direction.shortened(MOST_NAMED)))
+                    inseparable(
+                        name, self.machine, self.plan, self.setup, direction and direction.shortened(MOST_NAMED)
+                    )
                 )
         return tuple(hidden)
 

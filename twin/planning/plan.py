@@ -20,6 +20,7 @@ from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import count_with_noun
 from twin.display import UNKNOWN, Html, bar, chips, expanded, note, pairs, readable, table
 from twin.display.results import Display, DisplayedResult, Result
+from twin.identification.unidentified import Unidentified
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument
 from twin.measurement.simulate import Placement
@@ -29,7 +30,7 @@ from twin.model.effects import split_name, unit_of
 from twin.numerics.observability import Determinability, Observability, observability
 from twin.planning.clearance import Clearance, candidates
 from twin.planning.design import DesignProblem, FilledPlan, Route, covariance_of, fill
-from twin.planning.kit import Kit, NotIdentifiable, PlanModel
+from twin.planning.kit import Kit, PlanModel
 from twin.planning.task import POSES, SEED, Task, aim_of
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap, volume
@@ -62,7 +63,7 @@ class Forecast(Result):
         return self.model.determinability.measurements
 
     @property
-    def hidden(self) -> tuple[NotIdentifiable, ...]:
+    def hidden(self) -> tuple[Unidentified, ...]:
         """Errors that the readings do not determine, with the reason."""
         return self.model.hidden
 
@@ -175,11 +176,9 @@ class Forecast(Result):
         if self.hidden:
             lines += [
                 "",
-                Message(
-                    "not identifiable from these readings; combinations with other unknowns that leave all readings unchanged:"
-                ),
+                Message("not identifiable from these readings:"),
             ]
-            lines += [f"  {one.name}: {one.reason}" for one in self.hidden]
+            lines += [Message("  {name}: {reason}", name=one.name, reason=one.reason) for one in self.hidden]
         return "\n".join(map(say, lines)) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
@@ -196,7 +195,9 @@ class Forecast(Result):
                 "where": self.at_tool.where,
             },
             "observability": {"O1": o.o1, "O2": o.o2, "O3": o.o3, "O4": o.o4, "O5": o.o5},
-            "not_identifiable": json_form(self.hidden),
+            "not_identifiable": [
+                {"name": one.name, "reason": one.reason, "direction": one.direction} for one in self.hidden
+            ],
         }
 
     def _by_axis(self, digits: str) -> dict[str, list[str]]:
