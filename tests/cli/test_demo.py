@@ -18,7 +18,7 @@ def test_an_existing_folder_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "kept").mkdir()
     (tmp_path / "kept" / "mine.txt").write_text("mine")
     ended = twin("demo", "-o", "kept", cwd=tmp_path)
-    assert ended.returncode == 2 and "kept: already exists; expected the name of a new folder" in ended.stderr
+    assert ended.returncode == 2 and "kept: already exists; expected the name of a new folder, or of" in ended.stderr
     assert [path.name for path in tmp_path.rglob("*")] == ["kept", "mine.txt"]
 
 
@@ -36,6 +36,7 @@ def test_the_page_says_what_its_files_say(tmp_path: Path) -> None:
     folder = tmp_path / "twin-demo"
     page = (folder / "index.html").read_text()
     linked = re.findall('<a href="([^"]+)">', page)
+    assert twin("demo", cwd=tmp_path).returncode == 0, "an earlier demo is replaced"
     assert len(linked) > 8 and all((folder / name).stat().st_size > 0 for name in linked)
     assert all(f"twin {step.words}" in page for step in demo.STEPS)
     found, later = (json.loads((folder / f"{name}.json").read_text()) for name in ("diagnosis", "later"))

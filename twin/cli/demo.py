@@ -23,6 +23,7 @@ from twin.cli.shared.command import CommandResult, JsonOption, Output, command, 
 HIDDEN: Final = ("reversal", "Y", {"size": 14.0})
 """The error that the simulated machine has and its calibration does not: backlash, µm."""
 INDEX: Final = "index.html"
+TODAY: Final = "machine_today.yaml"
 
 
 @final
@@ -84,7 +85,7 @@ STEPS: Final = (
 def demo(
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", help="Folder to write; it must not exist, or be empty."),
+        typer.Option("--output", "-o", help="Folder to write; one of an earlier demo is replaced."),
         Output(folder=True),
     ] = Path("twin-demo"),
     json_file: JsonOption = None,
@@ -93,8 +94,9 @@ def demo(
 
     Everything is simulated on the illustrative machine. Every step is a command of the manual, which the page shows.
     """
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise InputError("already exists", expected="the name of a new folder", file=output)
+    own = {INDEX, TODAY, *(word for step in STEPS for word in step.words.split())}
+    if output.exists() and (not output.is_dir() or any(path.name not in own for path in output.iterdir())):
+        raise InputError("already exists", expected="the name of a new folder, or of an earlier demo", file=output)
     output.absolute().parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.absolute().parent))
     try:
@@ -106,7 +108,7 @@ def demo(
                 done.append(_run(step, folder))
         write_atomic(folder / INDEX, _page(folder, done))
         if output.exists():
-            output.rmdir()
+            shutil.rmtree(output)
         folder.chmod(0o755)
         os.replace(folder, output)
     finally:
@@ -123,7 +125,7 @@ def _write_machine_of_today(folder: Path) -> None:
         raise OutputError(f"the bundled machine {DEFAULT} names no calibration")
     effect, where, numbers = HIDDEN
     added = f"effects:\n- effect: {effect}\n  where: {where}\n  parameters: {json.dumps(numbers)}\n"
-    write_atomic(folder / "machine_today.yaml", calibration.read_text(encoding="utf-8").rstrip() + "\n" + added)
+    write_atomic(folder / TODAY, calibration.read_text(encoding="utf-8").rstrip() + "\n" + added)
 
 
 def _run(step: ExampleStep, folder: Path) -> ExampleStep:
