@@ -27,7 +27,7 @@ CHUNKS = {
     "twin.diagnosis.likelihood.AT_ONCE": 9,
     "twin.identification.network.CHUNK": 19,
     "twin.identification.network.VIEW_CHUNK": 19,
-    "twin._common.resources.THREADS": 3,
+    "twin._common.resources.SHARES": 3,
 }
 
 

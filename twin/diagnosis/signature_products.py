@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
-from twin._common.resources import THREADS, map_chunks
+from twin._common.resources import SHARES, map_chunks
 from twin.diagnosis.candidates.candidate import Column, Freedom, ReadingDerivatives, SignatureTerm
 from twin.identification.network import LinearisedReadings
 from twin.numerics.functions import Functions, Interpolation, Rows, pieces
@@ -194,7 +194,7 @@ class Signatures:
         # A part is summed by one thread: no thread holds the sums of all parts, and the result does not depend on their order.
         if count == 1 or not by_part:
             every = [run for own in lists for run in own]
-            lists = [own for own in (every[i::THREADS] for i in range(THREADS)) if own]
+            lists = [own for own in (every[i::SHARES] for i in range(SHARES)) if own]
         made: list[np.ndarray] = []
         lock = Lock()
 

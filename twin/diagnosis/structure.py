@@ -137,6 +137,25 @@ class Findings:
         """Return forms of ``candidates`` as they are among ``given_patterns``."""
         return [self.given_patterns.forms[form.index] for form in forms]
 
+    def with_alternatives(self, further: Candidates | None) -> Findings:
+        """Return what was found among more candidates, which were not to be named."""
+        if further is None:
+            return self
+        candidates, structure = self.candidates.followed_by(further), self.structure
+
+        def same(forms: Sequence[Form]) -> tuple[Form, ...]:
+            return tuple(candidates.forms[form.index] for form in forms)
+
+        structure = replace(
+            structure,
+            forms=same(structure.forms),
+            rejected=same(structure.rejected),
+            impossible=same(structure.impossible),
+        )
+        return replace(
+            self, candidates=candidates, structure=structure, by_noise=candidates, refuted=same(self.refuted)
+        )
+
 
 def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """Return the causes selected without patterns, or, if patterns explain more than a small part, a joint selection of both."""
@@ -510,7 +529,8 @@ def select_causes(task: DiagnosisTask) -> Findings:
 
     If they leave more than the noise, the search is repeated with noise and discrepancy in the weights.
     """
-    selected = _select(task)
+    selected, further = _select(task)
+    by_noise = selected.with_alternatives(further).by_noise
     for _ in range(MOST_RESELECTIONS):
         structure = selected.structure
         discrepancy = remaining_discrepancy(
@@ -518,12 +538,12 @@ def select_causes(task: DiagnosisTask) -> Findings:
         )
         if settled(task.problem.network, selected.task.discrepancy, discrepancy):
             break
-        selected = replace(_select(task.with_discrepancy(discrepancy)), by_noise=selected.by_noise)
-    return selected
+        selected, further = _select(task.with_discrepancy(discrepancy))
+    return replace(selected.with_alternatives(further), by_noise=by_noise)
 
 
-def _select(task: DiagnosisTask) -> Findings:
-    """Return the causes and the unnamed patterns, with the weights of the task.
+def _select(task: DiagnosisTask) -> tuple[Findings, Candidates | None]:
+    """Return the causes and the unnamed patterns, with the weights of the task, and further candidates for alternatives.
 
     A variant that changes with time (a growth that lags behind its sensor) resembles many slow changes. It is searched for only where
     something changes with time, and named only if it predicts held-out blocks of time better than the plain effect does, or as well as
@@ -533,31 +553,9 @@ def _select(task: DiagnosisTask) -> Findings:
     tried = patterns(network.machine, network.data)
     plain = search(without_time, candidates_of(without_time), tried)
     if without_time is task or not _changes_with_time(plain.structure):
-        return plain
+        return plain, None
     lagging = search(task, candidates_of(task), tried)
-    return lagging if _is_better_in_time(lagging, plain) else _with_alternatives(plain, lagging.candidates)
-
-
-def _with_alternatives(found: Findings, further: Candidates) -> Findings:
-    """Return what was found among more candidates, which were not to be named."""
-    candidates, structure = found.candidates.followed_by(further), found.structure
-
-    def same(forms: Sequence[Form]) -> tuple[Form, ...]:
-        return tuple(candidates.forms[form.index] for form in forms)
-
-    structure = replace(
-        structure,
-        forms=same(structure.forms),
-        rejected=same(structure.rejected),
-        impossible=same(structure.impossible),
-    )
-    return replace(
-        found,
-        candidates=candidates,
-        structure=structure,
-        by_noise=candidates,
-        refuted=same(found.refuted),
-    )
+    return (lagging, None) if _is_better_in_time(lagging, plain) else (plain, lagging.candidates)
 
 
 def without_variants_in_time(task: DiagnosisTask) -> DiagnosisTask:
