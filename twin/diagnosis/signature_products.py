@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, reduce
 from functools import partial as partial_of
-from threading import Lock
 from typing import Final, final
 
 import numpy as np
@@ -191,23 +190,16 @@ class Signatures:
         lists: list[list[int]] = [[] for _ in range(count)]
         for run in range(len(runs)):
             lists[part_of(run)].append(run)
-        # A part is summed by one thread: no thread holds the sums of all parts, and the result does not depend on their order.
         if count == 1 or not by_part:
             every = [run for own in lists for run in own]
             lists = [own for own in (every[i::SHARES] for i in range(SHARES)) if own]
-        made: list[np.ndarray] = []
-        lock = Lock()
-
-        def fill(own: Sequence[int]) -> None:
-            for share in own:
-                sums, width = self._sums_over(vectors, [(run, runs) for run in lists[share]])
-                with lock:
-                    if not made:
-                        made.append(np.zeros((len(lists), len(self.columns), width)))
-                self._add_sums(sums, made[0][share])
-
-        map_chunks(range(len(lists)), fill)
-        return made[0] if count > 1 and by_part else reduce(np.ndarray.__iadd__, made[0])[None]
+        made: np.ndarray = np.zeros(0)
+        for share, own in enumerate(lists):
+            sums, width = self._sums_over(vectors, [(run, runs) for run in own])
+            if not share:
+                made = np.zeros((len(lists), len(self.columns), width))
+            self._add_sums(sums, made[share])
+        return made if count > 1 and by_part else reduce(np.ndarray.__iadd__, made)[None]
 
     def _sums_over(
         self, vectors: Callable[[PointBlock], np.ndarray], own: Sequence[tuple[int, Sequence[np.ndarray]]]
@@ -426,24 +418,21 @@ class Signatures:
         width, runs = coefficients.shape[1], self._runs_of(points)[0]
         combined = np.empty((len(self.view.rows) if points is None else len(points), 3, width))
 
-        def fill(own: Sequence[int]) -> None:
-            for run in own:
-                block, rows = self._block(run, runs), runs[run]
-                total = np.zeros((3, len(rows), width))
-                for freedom, lookups in self._by_freedom.items():
-                    if not block.acts(freedom):
-                        continue
-                    sums = np.zeros((len(rows), width))
-                    for functions, (columns, index, weight) in lookups.items():
-                        values = block.values(functions)
-                        if values is not None:
-                            sums += values[:, index] @ (weight[:, None] * coefficients[columns])
-                    derivative = block.derivatives[freedom]
-                    for i in range(3):
-                        total[i] += derivative[:, i, None] * sums
-                combined[rows if points is None else np.searchsorted(points, rows)] = total.transpose(1, 0, 2)
-
-        map_chunks(range(len(runs)), fill)
+        for run, rows in enumerate(runs):
+            block = self._block(run, runs)
+            total = np.zeros((3, len(rows), width))
+            for freedom, lookups in self._by_freedom.items():
+                if not block.acts(freedom):
+                    continue
+                sums = np.zeros((len(rows), width))
+                for functions, (columns, index, weight) in lookups.items():
+                    values = block.values(functions)
+                    if values is not None:
+                        sums += values[:, index] @ (weight[:, None] * coefficients[columns])
+                derivative = block.derivatives[freedom]
+                for i in range(3):
+                    total[i] += derivative[:, i, None] * sums
+            combined[rows if points is None else np.searchsorted(points, rows)] = total.transpose(1, 0, 2)
         return combined
 
     def _block(self, run: int, runs: Sequence[np.ndarray]) -> PointBlock:
