@@ -125,7 +125,7 @@ def held_out_squares(
 ) -> np.ndarray | None:
     """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values; None for none.
 
-    Coordinates that the others do not place (`Problem.placed_held_out`) do not count.
+    Readings that the others do not place (`Problem.placed_held_out`) do not count.
     ``predict``: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
     """
     problem = candidates.problem
@@ -135,7 +135,7 @@ def held_out_squares(
         part = problem.without(rows)
         predicted = np.stack(predict(candidates.on_part(part)), axis=1)
         whitened_residual = part.refitted_at_held_out(problem.residual[:, None] - predicted)
-        placed = part.placed_held_out & problem.network.read[rows]
+        placed = part.placed_held_out[:, None] & problem.network.read[rows]
         off = np.where(placed[:, :, None], unwhiten(problem.network, whitened_residual, rows) * 1e6, 0.0)
         squares, values = np.sum(off**2, axis=1), np.count_nonzero(placed, axis=1).astype(float)
         counted = np.column_stack([squares, values])

@@ -97,7 +97,7 @@ class Problem:
 
     @property
     def placed_held_out(self) -> np.ndarray:
-        """(held out, 3): whether the other readings place a held-out one to `LOOSELY_PLACED` times its own standard uncertainty.
+        """(held out,): whether the other readings place a held-out one to `LOOSELY_PLACED` times its own uncertainty in each direction.
 
         A station of which a few readings are left turns about them: an error of such a prediction says nothing about the machine.
         """
@@ -107,7 +107,7 @@ class Problem:
         )
         along = self.nuisances.rows(self.held_out)[:, :, setup] @ turned
         variance = np.sum(along**2 / np.maximum(left, UNDETERMINED_SHARE), axis=2)
-        return np.asarray(variance <= LOOSELY_PLACED**2)
+        return np.asarray((variance <= LOOSELY_PLACED**2).all(axis=1))
 
     @property
     def nuisance(self) -> np.ndarray:
