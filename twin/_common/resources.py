@@ -100,7 +100,7 @@ Part = TypeVar("Part")
 
 
 def map_chunks(pieces: Sequence[Piece], work: Callable[[Sequence[Piece]], Part]) -> list[Part]:
-    """Apply a function to every `SHARES`-th item of a list, for each first item."""
+    """Apply a function to `SHARES` parts of a list in turn: the first part has its first item and every `SHARES`-th after it."""
     return [work(pieces[i::SHARES]) for i in range(max(min(SHARES, len(pieces)), 1))]
 
 
